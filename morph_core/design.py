@@ -1,0 +1,116 @@
+"""The design parameters phi: their names, their box, and where the search starts."""
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from morph_core.protocol import Parameter
+
+
+@dataclass(frozen=True)
+class DesignSpace:
+    """An immutable box with locks; every edit returns a new one. phi is one vector (d,) in physical units."""
+
+    parameters: tuple[Parameter, ...]
+
+    def __post_init__(self) -> None:
+        for p in self.parameters:
+            _check_bound(p, p.lo, p.hi)
+            if p.locked_at is not None:
+                _check_value(p, p.locked_at)
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def names(self) -> list[str]:
+        return [p.name for p in self.parameters]
+
+    @property
+    def lo(self) -> np.ndarray:
+        return np.array([p.lo for p in self.parameters])
+
+    @property
+    def hi(self) -> np.ndarray:
+        return np.array([p.hi for p in self.parameters])
+
+    @property
+    def scale(self) -> np.ndarray:
+        return np.array([p.scale for p in self.parameters])
+
+    @property
+    def initial(self) -> np.ndarray:
+        """The initial design, clipped into the present bounds and locks."""
+        return self.clip(np.array([p.initial for p in self.parameters]))
+
+    @property
+    def free(self) -> np.ndarray:
+        """(d,) bool: which parameters may move."""
+        return np.array([p.locked_at is None for p in self.parameters])
+
+    def clip(self, phi: np.ndarray) -> np.ndarray:
+        """Return phi (..., d) inside the box, locked entries at their value."""
+        inside = np.clip(phi, self.lo, self.hi)
+        locked = np.array([math.nan if p.locked_at is None else p.locked_at for p in self.parameters])
+        return np.where(np.isnan(locked), inside, locked)
+
+    def check(self, phi: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return phi as an array (d,), or raise ValueError that says which entry is not allowed and why."""
+        vector = np.asarray(phi, dtype=float)
+        if vector.shape != (len(self),):
+            raise ValueError(f"phi has {vector.size} entries; {len(self)} are needed: {', '.join(self.names)}")
+        for p, value in zip(self.parameters, vector, strict=True):
+            _check_value(p, float(value))
+        return vector
+
+    def index(self, name: str) -> int:
+        """Raise ValueError that lists the choices if there is no such parameter."""
+        if name in self.names:
+            return self.names.index(name)
+        near = difflib.get_close_matches(name, self.names, 1)
+        hint = f' (did you mean "{near[0]}"?)' if near else ""
+        raise ValueError(f'unknown design parameter "{name}"{hint}; choose from: {", ".join(self.names)}')
+
+    def with_bound(self, name: str, lo: float, hi: float) -> "DesignSpace":
+        """Raise ValueError unless lo < hi, both finite and inside the task's hard box."""
+        p = self.parameters[self.index(name)]
+        _check_bound(p, lo, hi)
+        if p.locked_at is not None and not lo <= p.locked_at <= hi:
+            raise ValueError(f"{name} is locked at {p.locked_at:g} {p.unit}, outside [{lo:g}, {hi:g}]: unlock it first")
+        return self._replace(name, lo=float(lo), hi=float(hi))
+
+    def with_lock(self, name: str, value: float) -> "DesignSpace":
+        """Raise ValueError unless `value` is finite and inside the present bounds."""
+        _check_value(self.parameters[self.index(name)], value)
+        return self._replace(name, locked_at=float(value))
+
+    def without_lock(self, name: str) -> "DesignSpace":
+        return self._replace(name, locked_at=None)
+
+    def _replace(self, name: str, **changes: float | None) -> "DesignSpace":
+        i = self.index(name)
+        changed = msgspec.structs.replace(self.parameters[i], **changes)
+        return dataclasses.replace(self, parameters=(*self.parameters[:i], changed, *self.parameters[i + 1 :]))
+
+
+def _check_bound(p: Parameter, lo: float, hi: float) -> None:
+    if not (math.isfinite(lo) and math.isfinite(hi)):
+        raise ValueError(f"the bounds of {p.name} must be finite, not [{lo}, {hi}]")
+    if lo >= hi:
+        raise ValueError(f"the lower bound of {p.name} must be below the upper one: {lo:g} >= {hi:g} {p.unit}")
+    if lo < p.hard_lo or hi > p.hard_hi:
+        raise ValueError(
+            f"the bounds of {p.name} must lie inside [{p.hard_lo:g}, {p.hard_hi:g}] {p.unit}, not [{lo:g}, {hi:g}]"
+        )
+
+
+def _check_value(p: Parameter, value: float) -> None:
+    if not math.isfinite(value):
+        raise ValueError(f"{p.name} must be finite, not {value}")
+    if not p.lo <= value <= p.hi:
+        raise ValueError(f"{p.name} must lie inside [{p.lo:g}, {p.hi:g}] {p.unit}, not {value:g}")

@@ -1,0 +1,119 @@
+"""What has happened in a run so far, read from its folder: the one view that studio, command line and export share."""
+
+import time
+
+import numpy as np
+
+from morph_core.design import DesignSpace
+from morph_core.protocol import (
+    Acknowledged,
+    AnyEvent,
+    DesignSpaceChanged,
+    Evaluation,
+    Heartbeat,
+    Progress,
+    RunRecord,
+    StateChanged,
+    Status,
+)
+from morph_core.run_folder import LOST_AFTER, RunFolder, RunFolderError, process_alive
+
+
+class History:
+    """A tail of one run folder. `poll` takes in what is new; everything else answers from memory."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        """Raise RunFolderError if the folder has no readable run.json."""
+        self.folder = folder
+        self.record: RunRecord = folder.record()
+        self.events: list[AnyEvent] = []
+        self.progress: list[Progress] = []
+        self.evaluations: list[Evaluation] = []
+        self.acknowledged: list[Acknowledged] = []
+        self.design_space = DesignSpace(tuple(self.record.parameters))
+        self.state: StateChanged | None = None
+        self.heartbeat: Heartbeat | None = None
+        self._offset = 0
+        self.poll()
+
+    def poll(self) -> list[AnyEvent]:
+        """Take in what was written since the last call and return the new events."""
+        self.heartbeat = self.folder.heartbeat()
+        events, self._offset = self.folder.read_events(self._offset)
+        for event in events:
+            match event:
+                case StateChanged(status="starting", iteration=iteration):  # a resume voids what came after its checkpoint
+                    self.progress = [p for p in self.progress if p.iteration <= iteration]
+                    self.evaluations = [e for e in self.evaluations if e.iteration <= iteration]
+                case Progress():
+                    self.progress.append(event)
+                case Evaluation():
+                    self.evaluations.append(event)
+                case Acknowledged():
+                    self.acknowledged.append(event)
+                case DesignSpaceChanged(parameters=parameters):
+                    self.design_space = DesignSpace(tuple(parameters))
+            if isinstance(event, StateChanged):
+                self.state = event
+        self.events.extend(events)
+        return events
+
+    @property
+    def status(self) -> Status:
+        """What the trainer last said, unless it is gone: then `lost` (no word of an end, no process, no heartbeat)."""
+        status: Status = self.state.status if self.state else "starting"
+        if status in ("stopped", "finished", "failed"):
+            return status
+        beat = self.heartbeat
+        if beat is None:
+            return status if time.time() - self.record.created < LOST_AFTER else "lost"
+        alive = process_alive(beat.pid, beat.process_started) or 0 <= time.time() - beat.time < LOST_AFTER
+        if not alive:
+            return "lost"
+        return beat.status if beat.status != "starting" else status
+
+    @property
+    def message(self) -> str:
+        """Why the run is in this state, in words."""
+        if self.status == "lost":
+            return "the trainer died without a word (killed, or the machine went down); resume goes on from checkpoint"
+        if self.heartbeat and self.heartbeat.message and self.status not in ("stopped", "finished", "failed"):
+            return self.heartbeat.message
+        return self.state.message if self.state else ""
+
+    @property
+    def iteration(self) -> int:
+        return self.progress[-1].iteration if self.progress else 0
+
+    @property
+    def phi(self) -> np.ndarray:
+        """(d,) the present design."""
+        return np.array(self.progress[-1].phi) if self.progress else self.initial_phi
+
+    @property
+    def initial_phi(self) -> np.ndarray:
+        return DesignSpace(tuple(self.record.parameters)).initial
+
+    @property
+    def best(self) -> Evaluation | None:
+        """The evaluation with the most sampled success, then the highest return."""
+        return max(self.evaluations, key=lambda e: (e.sampled_success, e.sampled_return), default=None)
+
+    def design(self, which: str) -> tuple[int, np.ndarray]:
+        """Return iteration and phi (d,) of "best", "latest", or an iteration; 0 is the initial design.
+
+        Raise RunFolderError that says what is allowed.
+        """
+        if which == "latest":
+            return self.iteration, self.phi
+        if which == "best":
+            best = self.best
+            return (best.iteration, np.array(best.phi)) if best else (self.iteration, self.phi)
+        if which == "0":
+            return 0, self.initial_phi
+        if not which.isdecimal():
+            raise RunFolderError(f'no design "{which[:40]}"; choose best, latest or an iteration (0 is the initial one)')
+        for progress in self.progress:
+            if progress.iteration == int(which):
+                return progress.iteration, np.array(progress.phi)
+        raise RunFolderError(f"{self.folder.id} has no iteration {which}; choose best, latest or 0 to {self.iteration}")

@@ -1,0 +1,273 @@
+"""The wire: what trainer and studio tell each other, as files of the run folder and as the API's schema.
+
+Event = kept, in order. Snapshot = may be replaced by a newer one. Command = from a user to the trainer.
+"""
+
+from typing import Literal
+
+import msgspec
+
+from morph_core.config import Projection
+
+Status = Literal["starting", "running", "pausing", "paused", "stopped", "finished", "failed", "lost", "unreadable"]
+"""`lost` and `unreadable` are a reader's verdicts; a trainer never writes them."""
+
+
+class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One design parameter; all numbers in `unit`."""
+
+    name: str
+    unit: str
+    lo: float
+    hi: float
+    initial: float
+    hard_lo: float
+    """The task's own box: `lo` and `hi` may be edited inside it."""
+    hard_hi: float
+    scale: float = 1.0
+    """A typical change: the unit of exploration and of the search's sigma0."""
+    locked_at: float | None = None
+
+
+# --- Commands ---------------------------------------------------------------------------------------------------------
+
+
+class Command(msgspec.Struct, frozen=True, tag_field="type", forbid_unknown_fields=True):
+    """Base of all commands; applied between two iterations and acknowledged with the iteration."""
+
+
+class Pause(Command, tag="pause"):
+    """Hold after the present iteration."""
+
+
+class Resume(Command, tag="resume"):
+    """Go on after a pause."""
+
+
+class Step(Command, tag="step"):
+    """Run one iteration, then hold."""
+
+
+class Stop(Command, tag="stop"):
+    """Save a checkpoint and end the trainer; the run can be resumed."""
+
+
+class Checkpoint(Command, tag="checkpoint"):
+    """Save a checkpoint now."""
+
+
+class SetAlpha(Command, tag="set_alpha"):
+    """Set alpha, the weight of the divergence (>= 0)."""
+
+    alpha: float
+
+
+class SetProjection(Command, tag="set_projection"):
+    """Set the projection rule."""
+
+    projection: Projection
+
+
+class SetBound(Command, tag="set_bound"):
+    """Set the bounds of one design parameter; lo < hi, inside the task's hard box."""
+
+    name: str
+    lo: float
+    hi: float
+
+
+class Lock(Command, tag="lock"):
+    """Hold one design parameter at `value`, or at its present value."""
+
+    name: str
+    value: float | None = None
+
+
+class Unlock(Command, tag="unlock"):
+    """Free one design parameter."""
+
+    name: str
+
+
+class InjectDesign(Command, tag="inject_design"):
+    """Continue from this phi, in the order of the design space."""
+
+    phi: list[float]
+
+
+AnyCommand = (
+    Pause | Resume | Step | Stop | Checkpoint | SetAlpha | SetProjection | SetBound | Lock | Unlock | InjectDesign
+)
+
+
+class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A command in the inbox, under the number by which it will be acknowledged."""
+
+    id: int
+    command: AnyCommand
+
+
+# --- Events -----------------------------------------------------------------------------------------------------------
+
+
+class Event(msgspec.Struct, frozen=True, tag_field="kind", kw_only=True):
+    """Base of all events; `seq` rises by one within a run, `time` is seconds since the epoch."""
+
+    seq: int = 0
+    time: float = 0.0
+
+
+class StateChanged(Event, tag="state"):
+    """The trainer entered `status`. After `starting`, progress beyond `iteration` is void (a resume rewinds)."""
+
+    status: Status
+    iteration: int
+    message: str = ""
+
+
+class Progress(Event, tag="progress"):
+    """One iteration of a method. A metric that is not defined in this iteration or method is None."""
+
+    iteration: int
+    env_steps: int
+    """Environment steps so far, on Hw-Phy and in the proxy's world alike."""
+    phi: list[float]
+    episode_return: float
+    """Mean undiscounted return of the iteration's trajectories, over the designs that were explored."""
+    success: float
+    """Share of the iteration's trajectories that reached the goal."""
+    policy_std: float
+    design_sigma: float | None = None
+    divergence: float | None = None
+    """Mean squared distance of both hardware outputs on sampled (s, a), per Hw-Phy with the present phi."""
+    search_cost: float | None = None
+    """Divergence after the search for phi."""
+    cosine: float | None = None
+    """Mean cosine of g_task and g_hw over psi."""
+    cosine_negative: float | None = None
+    """Share of this iteration's gradient steps with a negative cosine."""
+    cosine_by_parameter: list[float | None] | None = None
+    """The same cosine along the direction in which each design parameter moves z; where Hw-Phy is differentiable."""
+    alpha: float | None = None
+    projection: Projection | None = None
+    cpu_seconds: float = 0.0
+    """CPU time of the trainer since its first iteration, all resumes summed."""
+
+
+class Evaluation(Event, tag="evaluation"):
+    """The policy on Hw-Phy with the present phi. `rollout` names the recorded episode, relative to the run."""
+
+    iteration: int
+    env_steps: int
+    phi: list[float]
+    sampled_success: float
+    sampled_return: float
+    deterministic_success: float
+    deterministic_return: float
+    rollout: str | None = None
+    cpu_seconds: float = 0.0
+
+
+class Acknowledged(Event, tag="command"):
+    """The trainer took a command: `accepted` and in force from `iteration` + 1 on, or refused with the reason."""
+
+    id: int
+    iteration: int
+    accepted: bool
+    command: AnyCommand
+    message: str = ""
+
+
+class DesignSpaceChanged(Event, tag="design_space"):
+    """The bounds or locks now in force."""
+
+    iteration: int
+    parameters: list[Parameter]
+
+
+AnyEvent = StateChanged | Progress | Evaluation | Acknowledged | DesignSpaceChanged
+
+
+# --- Snapshots and records --------------------------------------------------------------------------------------------
+
+
+class Heartbeat(msgspec.Struct, frozen=True):
+    """What the trainer does right now; rewritten every second."""
+
+    pid: int
+    process_started: float
+    """Start time of that process (seconds since the epoch), so that a reused pid is not taken for it."""
+    time: float
+    status: Status
+    stage: str
+    """In words: "loading", "fitting the proxy", "collecting and learning", "evaluating", "saving"."""
+    iteration: int
+    iterations: int
+    env_steps: int = 0
+    eta_seconds: float | None = None
+    message: str = ""
+
+
+class Parent(msgspec.Struct, frozen=True):
+    """The run and iteration that a run was branched from."""
+
+    run: str
+    iteration: int
+
+
+class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """run.json: everything needed to run it again. Written once."""
+
+    format: int = 1
+    id: str
+    task: str
+    task_options: dict[str, object] = {}
+    """Fields of the task's own dataclass that differ from its defaults (reacher: tunnel, z, ...)."""
+    method: str
+    seed: int
+    iterations: int
+    config: dict[str, object]
+    parameters: list[Parameter]
+    versions: dict[str, str]
+    git_revision: str | None = None
+    git_dirty: bool | None = None
+    created: float
+    parent: Parent | None = None
+
+
+_encoder = msgspec.json.Encoder()
+_events = msgspec.json.Decoder(AnyEvent)
+_orders = msgspec.json.Decoder(Order)
+_commands = msgspec.json.Decoder(AnyCommand)
+_records = msgspec.json.Decoder(RunRecord)
+_heartbeats = msgspec.json.Decoder(Heartbeat)
+
+
+def encode(message: msgspec.Struct) -> bytes:
+    """One line of JSON. NaN and infinities become null: keep them out of required fields."""
+    return _encoder.encode(message)
+
+
+def decode_event(line: bytes | str) -> AnyEvent:
+    """Raise msgspec.DecodeError (ValidationError) on anything that is not an event."""
+    return _events.decode(line)
+
+
+def decode_order(text: bytes | str) -> Order:
+    """Raise msgspec.DecodeError (ValidationError) on anything that is not an order."""
+    return _orders.decode(text)
+
+
+def decode_command(text: bytes | str) -> AnyCommand:
+    """Raise msgspec.DecodeError (ValidationError) with the offending field on anything that is not a command."""
+    return _commands.decode(text)
+
+
+def decode_record(text: bytes | str) -> RunRecord:
+    """Raise msgspec.DecodeError (ValidationError) on anything that is not a run.json."""
+    return _records.decode(text)
+
+
+def decode_heartbeat(text: bytes | str) -> Heartbeat:
+    """Raise msgspec.DecodeError (ValidationError) on anything that is not a heartbeat."""
+    return _heartbeats.decode(text)

@@ -1,0 +1,295 @@
+"""The run folder: the only thing that trainer and studio share. One trainer writes it; anyone reads it."""
+
+import contextlib
+import fcntl
+import io
+import os
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import psutil
+
+from morph_core import protocol
+from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Order, RunRecord
+
+HEARTBEAT_BYTES = 4096
+"""The heartbeat is rewritten in place at this size, so that it needs no new block on a full disk."""
+LOST_AFTER = 10.0
+"""Seconds without a heartbeat after which a run whose process can't be seen counts as lost."""
+RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+
+
+class RunFolderError(ValueError):
+    """A run folder that is missing, foreign, corrupt, or held by another trainer; says which and why."""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths, readers and the inbox of one run; writing events is the trainer's (`EventLog`)."""
+
+    path: Path
+
+    @property
+    def id(self) -> str:
+        return self.path.name
+
+    @property
+    def events(self) -> Path:
+        return self.path / "events.jsonl"
+
+    @property
+    def rollouts(self) -> Path:
+        return self.path / "rollouts"
+
+    @property
+    def checkpoints(self) -> Path:
+        return self.path / "checkpoints"
+
+    @property
+    def commands(self) -> Path:
+        return self.path / "commands"
+
+    @property
+    def exports(self) -> Path:
+        return self.path / "exports"
+
+    # --- reading ---
+
+    def record(self) -> RunRecord:
+        """Raise RunFolderError if run.json is missing, foreign or damaged."""
+        try:
+            return protocol.decode_record((self.path / "run.json").read_bytes())
+        except FileNotFoundError:
+            raise RunFolderError(f"{self.id} has no run.json: not a run folder") from None
+        except (OSError, msgspec.DecodeError) as error:
+            raise RunFolderError(f"run.json of {self.id} can't be read: {error}") from error
+
+    def read_events(self, offset: int = 0) -> tuple[list[AnyEvent], int]:
+        """Return whole events from byte `offset` on, and the offset to go on from.
+
+        A torn last line is left for the next call; a line that is no event (a newer version's, or damaged) is skipped.
+        """
+        try:
+            with self.events.open("rb") as file:
+                file.seek(offset)
+                text = file.read()
+        except FileNotFoundError:
+            return [], offset
+        whole = text.rfind(b"\n") + 1
+        events = []
+        for line in text[:whole].splitlines():
+            with contextlib.suppress(msgspec.DecodeError):
+                events.append(protocol.decode_event(line))
+        return events, offset + whole
+
+    def heartbeat(self) -> Heartbeat | None:
+        """Return the last heartbeat, or None if there is none that can be read."""
+        try:
+            return protocol.decode_heartbeat((self.path / "heartbeat.json").read_bytes().rstrip())
+        except (OSError, msgspec.DecodeError):
+            return None
+
+    def trainer_alive(self) -> bool:
+        """Tell whether a trainer holds this folder: its process is there, or its heartbeat still moves."""
+        beat = self.heartbeat()
+        if beat is None or beat.status in ("stopped", "finished", "failed"):
+            return False
+        return process_alive(beat.pid, beat.process_started) or 0 <= time.time() - beat.time < LOST_AFTER
+
+    def checkpoint_iterations(self) -> list[int]:
+        """Return the iterations of whole checkpoints, ascending; half-written ones have another name."""
+        if not self.checkpoints.is_dir():
+            return []
+        return sorted(int(p.name) for p in self.checkpoints.iterdir() if p.is_dir() and re.fullmatch(r"\d{6,}", p.name))
+
+    def checkpoint(self, iteration: int) -> Path:
+        return self.checkpoints / f"{iteration:06d}"
+
+    def rollout(self, iteration: int) -> Path:
+        return self.rollouts / f"{iteration:06d}.npz"
+
+    # --- the inbox ---
+
+    def send(self, command: AnyCommand) -> int:
+        """Put a command into the inbox and return the id by which it will be acknowledged."""
+        self.commands.mkdir(exist_ok=True)
+        taken = [int(p.stem) for p in self.commands.iterdir() if p.stem.isdigit()]
+        acknowledged = [e.id for e in self.read_events()[0] if isinstance(e, protocol.Acknowledged)]
+        number = max(taken + acknowledged, default=0) + 1
+        while True:
+            draft = self.commands / f".{number:06d}.{os.getpid()}.{time.monotonic_ns()}"
+            write_durably(draft, protocol.encode(Order(number, command)))
+            try:
+                os.link(draft, self.commands / f"{number:06d}.json")  # fails where rename would replace another's
+                return number
+            except FileExistsError:
+                number += 1
+            finally:
+                draft.unlink()
+
+    def pending(self) -> Iterator[tuple[Path, Order | None]]:
+        """Yield the inbox in order, with None for a file that is no order; the trainer removes what it has taken."""
+        if not self.commands.is_dir():
+            return
+        for path in sorted(self.commands.glob("[0-9]*.json")):
+            try:
+                yield path, protocol.decode_order(path.read_bytes())
+            except (OSError, msgspec.DecodeError):
+                yield path, None
+
+
+def process_alive(pid: int, started: float) -> bool:
+    """Tell whether the process `pid` that started at `started` (s since the epoch) is there and no zombie."""
+    try:
+        process = psutil.Process(pid)
+        return abs(process.create_time() - started) < 2.0 and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.Error:
+        return False
+
+
+def find_run(runs: Path, run_id: str) -> RunFolder:
+    """Return the run `run_id` of the folder `runs`; raise RunFolderError that says what is allowed."""
+    if not RUN_ID.fullmatch(run_id):
+        raise RunFolderError(f"{run_id[:80]!r} is no run name: letters, digits, dot, dash and underscore, at most 128")
+    path = runs / run_id
+    if not path.is_dir() or path.resolve().parent != runs.resolve():
+        raise RunFolderError(f'unknown run "{run_id}"; choose from: {", ".join(list_runs(runs)[-8:]) or "none yet"}')
+    return RunFolder(path)
+
+
+def list_runs(runs: Path) -> list[str]:
+    """Return the names of all folders in `runs` that could be runs, oldest first."""
+    if not runs.is_dir():
+        return []
+    return sorted(p.name for p in runs.iterdir() if p.is_dir() and RUN_ID.fullmatch(p.name))
+
+
+def create_run(runs: Path, record: RunRecord) -> RunFolder:
+    """Write a new run folder: whole or not at all. Raise RunFolderError if the name is taken."""
+    if not RUN_ID.fullmatch(record.id):
+        raise RunFolderError(f"{record.id!r} is no run name: letters, digits, dot, dash and underscore, at most 128")
+    runs.mkdir(parents=True, exist_ok=True)
+    draft = runs / f".{record.id}.{os.getpid()}"
+    for folder in ("rollouts", "checkpoints", "commands", "exports"):
+        (draft / folder).mkdir(parents=True)
+    write_durably(draft / "run.json", msgspec.json.format(protocol.encode(record), indent=2))
+    write_durably(draft / "events.jsonl", b"")
+    try:
+        draft.rename(runs / record.id)
+    except OSError:
+        raise RunFolderError(f"a run named {record.id} is there already") from None
+    return RunFolder(runs / record.id)
+
+
+def new_run_id(task: str, method: str, seed: int, now: float | None = None) -> str:
+    """Return a name such as 20261122-101530-reacher-morph-s0."""
+    return f"{time.strftime('%Y%m%d-%H%M%S', time.localtime(now))}-{task}-{method}-s{seed}"
+
+
+def write_durably(path: Path, content: bytes) -> None:
+    """Write a file so that after a crash it is there whole or not at all."""
+    draft = path.with_name(f".{path.name}.draft")
+    try:
+        with draft.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.rename(path)
+    except OSError:
+        draft.unlink(missing_ok=True)
+        raise
+
+
+# --- what only the trainer does -----------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def hold(folder: RunFolder) -> Iterator[None]:
+    """Hold the folder as its single writer; raise RunFolderError if another trainer does."""
+    with (folder.path / "trainer.lock").open("a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel lets go of it even after kill -9
+        except OSError:
+            file.seek(0)
+            raise RunFolderError(f"{folder.id} is held by another trainer ({file.read().strip() or '?'})") from None
+        file.truncate(0)
+        file.write(f"pid {os.getpid()} started {psutil.Process().create_time():.2f}")
+        file.flush()
+        yield
+
+
+class EventLog:
+    """The append-only events.jsonl, opened by the one trainer that holds the folder."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        events, whole = folder.read_events()
+        self.seq = max((e.seq for e in events), default=0)
+        self._file = folder.events.open("r+b" if folder.events.exists() else "w+b")
+        self._file.truncate(whole)  # a torn last line of a killed trainer
+        self._file.seek(whole)
+
+    def append(self, event: AnyEvent) -> AnyEvent:
+        """Write one event with the next `seq`; on OSError the log is as it was before."""
+        stamped = msgspec.structs.replace(event, seq=self.seq + 1, time=time.time())
+        before = self._file.tell()
+        try:
+            self._file.write(protocol.encode(stamped) + b"\n")
+            self._file.flush()
+        except OSError:
+            self._file = _reopen(self._file, before)
+            raise
+        self.seq += 1
+        return stamped
+
+    def close(self) -> None:
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+
+def _reopen(file: io.BufferedRandom, size: int) -> io.BufferedRandom:
+    """Drop what is stuck in the buffer of `file` and cut it back to `size` bytes."""
+    os.ftruncate(file.fileno(), size)
+    with contextlib.suppress(OSError):
+        file.close()  # the buffered rest fails again; the descriptor closes all the same
+    fresh = open(file.name, "r+b")  # noqa: SIM115 - held for the log's life
+    fresh.truncate(size)
+    fresh.seek(size)
+    return fresh
+
+
+class HeartbeatFile:
+    """heartbeat.json, rewritten in place in one write of a fixed size: readers see the old one or the new one."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        self._fd = os.open(folder.path / "heartbeat.json", os.O_RDWR | os.O_CREAT, 0o644)
+
+    def write(self, beat: Heartbeat) -> None:
+        os.pwrite(self._fd, protocol.encode(beat).ljust(HEARTBEAT_BYTES)[:HEARTBEAT_BYTES], 0)
+
+    def close(self) -> None:
+        os.close(self._fd)
+
+
+def write_rollout(folder: RunFolder, iteration: int, arrays: dict[str, np.ndarray]) -> str:
+    """Write one recorded episode; return its name relative to the run folder."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
+    folder.rollouts.mkdir(exist_ok=True)
+    write_durably(folder.rollout(iteration), buffer.getvalue())
+    return f"rollouts/{iteration:06d}.npz"
+
+
+def read_rollout(folder: RunFolder, iteration: int) -> dict[str, np.ndarray]:
+    """Raise RunFolderError if there is no such rollout or it is damaged."""
+    try:
+        with np.load(folder.rollout(iteration), allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise RunFolderError(f"{folder.id} has no rollout of iteration {iteration}") from None
+    except (OSError, ValueError, EOFError, KeyError) as error:
+        raise RunFolderError(f"rollout {iteration} of {folder.id} can't be read: {error}") from error
