@@ -1,0 +1,378 @@
+"""The paper's reacher: a planar arm of five links that threads a zig-zag tunnel."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from morph_core.config import Config
+from morph_core.design import DesignSpace
+from morph_core.protocol import Parameter
+from morph_core.task import Hardware, Transition
+
+LINKS = 5
+TOLERANCE = 1e-4
+"""m: a link counts as inside a wall beyond this depth."""
+# What the arm is made of when it is shown and exported; the task itself is kinematic and its links have no width.
+LINK_RADIUS = 0.06  # m
+LINK_DENSITY = 200.0  # kg/m^3: a printed part with sparse infill
+JOINT_DAMPING = 1.0  # N m s/rad
+JOINT_ARMATURE = 0.1  # kg m^2
+SERVO_KP = 2000.0  # N m/rad
+SERVO_KV = 400.0  # N m s/rad
+SERVO_TORQUE = 500.0  # N m
+WALL_HEIGHT = 0.3  # m, across the plane
+WALL_MARGIN = 1.2  # m: how much of the solid is shown beyond the corridor
+BASE_COLOUR = (0.35, 0.37, 0.42, 1.0)
+LINK_COLOURS = (
+    (0.00, 0.45, 0.70, 1.0), (0.34, 0.71, 0.91, 1.0), (0.00, 0.62, 0.45, 1.0), (0.90, 0.62, 0.00, 1.0),
+    (0.84, 0.37, 0.00, 1.0),
+)  # fmt: skip
+"""Okabe and Ito's palette: told apart by colour-blind people too."""
+WALL_COLOUR = (0.55, 0.57, 0.62, 1.0)
+GOAL_COLOUR = (0.80, 0.47, 0.65, 1.0)
+
+
+@dataclass(frozen=True)
+class Tunnel:
+    """A corridor of constant vertical gap along a piecewise-linear centre line; solid above and below it."""
+
+    xs: tuple[float, ...]
+    """m: where the centre line bends; solid only for xs[0] <= x <= xs[-1]."""
+    ys: tuple[float, ...]
+    """m: height of the centre line there."""
+    gap: float
+    """m: vertical width."""
+    goal: tuple[float, float]
+    goal_radius: float
+    start_headings: tuple[float, ...]
+    """degrees: absolute angles of the links at the start."""
+
+    @cached_property
+    def _slopes(self) -> np.ndarray:
+        return np.diff(self.ys) / np.diff(self.xs)
+
+    def centre(self, x: np.ndarray) -> np.ndarray:
+        """Return the height of the centre line at x (...), constant outside the tunnel."""
+        inside = np.clip(x, self.xs[0], self.xs[-1])
+        height = self.ys[0] + self._slopes[0] * (inside - self.xs[0])
+        for bend, change in zip(self.xs[1:-1], np.diff(self._slopes), strict=True):
+            height += change * np.maximum(inside - bend, 0.0)
+        return height
+
+    def depths(self, outline: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return how deep an outline (..., P, 2) of P joined points stands in a wall.
+
+        The depth is vertical, negative in free space and -inf outside the tunnel: (..., P) at the points, and
+        (..., P - 1, B) where each link crosses the x of each bend. Both walls and links are straight between those,
+        so that the largest of these is exact.
+        """
+        x, y = outline[..., 0], outline[..., 1]
+        at_points = np.abs(y - self.centre(x)) - self.gap / 2
+        at_points[(x < self.xs[0]) | (x > self.xs[-1])] = -np.inf
+        x0, x1 = x[..., :-1, None], x[..., 1:, None]
+        run = x1 - x0
+        along = (np.array(self.xs) - x0) / np.where(run == 0.0, 1.0, run)
+        crossed = (along > 0.0) & (along < 1.0)
+        y0, y1 = y[..., :-1, None], y[..., 1:, None]
+        at_bends = np.where(crossed, np.abs(y0 + along * (y1 - y0) - np.array(self.ys)) - self.gap / 2, -np.inf)
+        return at_points, at_bends
+
+    def depth(self, outline: np.ndarray) -> np.ndarray:
+        """Return the largest depth (...) of an outline (..., P, 2)."""
+        at_points, at_bends = self.depths(outline)
+        return np.maximum(at_points.max(-1), at_bends.max((-2, -1), initial=-np.inf))
+
+    def deepest(self, outline: np.ndarray) -> np.ndarray:
+        """Return the point (N, 2) of each outline (N, P, 2) that is deepest in a wall."""
+        at_points, at_bends = self.depths(outline)
+        depths = np.concatenate([at_points, at_bends.reshape(len(outline), np.prod(at_bends.shape[1:]))], 1)
+        x0, x1, y0, y1 = (outline[:, i, c, None] for c in (0, 1) for i in (slice(None, -1), slice(1, None)))
+        xs = np.broadcast_to(np.array(self.xs), at_bends.shape[1:])
+        run = np.where(x1 == x0, 1.0, x1 - x0)
+        ys = y0 + (xs - x0) / run * (y1 - y0)
+        bends = np.stack([np.broadcast_to(xs, ys.shape), ys], -1).reshape(len(outline), np.prod(ys.shape[1:]), 2)
+        return np.concatenate([outline, bends], 1)[np.arange(len(outline)), depths.argmax(1)]
+
+
+TUNNELS = {
+    # Made for this project: tighter than the bend is high, so that three-metre links can't turn the corner.
+    "zigzag": Tunnel((1.0, 2.5, 4.0), (3.0, 4.2, 3.0), 1.1, (4.4, 2.8), 0.4, (180.0, 150.0, 120.0, 90.0, 90.0)),
+    # Measured from the paper's figure.
+    "paper": Tunnel(
+        (1.0, 2.5, 4.0, 5.5, 7.0), (3.0, 4.5, 3.0, 4.5, 3.0), 3.0, (7.0, 3.0), 0.5, (180.0, 180.0, 90.0, 0.0, 0.0)
+    ),
+}
+
+
+class ForwardKinematics:
+    """Hw-Phy of the reacher: where the joints stand after a change of the joint angles; linear in phi."""
+
+    def __init__(self, phi: np.ndarray, tip_only: bool) -> None:
+        self.phi = phi  # (d,) or (N, d) m
+        self.tip_only = tip_only
+
+    def __call__(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        joints = self.outline(s[:, :LINKS] + a)[:, 1:]
+        return joints[:, -1] if self.tip_only else joints.reshape(len(s), -1)
+
+    def outline(self, q: np.ndarray) -> np.ndarray:
+        """Return base, joints and tip (N, 6, 2) m at joint angles q (N, 5) rad."""
+        heading = np.cumsum(q, -1)
+        points = np.zeros((*q.shape[:-1], LINKS + 1, 2))
+        np.cumsum(self.phi * np.cos(heading), -1, out=points[..., 1:, 0])
+        np.cumsum(self.phi * np.sin(heading), -1, out=points[..., 1:, 1])
+        return points
+
+    def jacobian(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        heading = np.cumsum(s[:, :LINKS] + a, -1)
+        direction = np.stack([np.cos(heading), np.sin(heading)], -1)  # (N, link, 2)
+        reaches = np.tri(LINKS)  # joint i is carried by the links up to i
+        full = np.einsum("il,nlc->nicl", reaches, direction)
+        return full[:, -1] if self.tip_only else full.reshape(len(s), -1, LINKS)
+
+
+@dataclass(frozen=True)
+class Reacher:
+    """Five links, base fixed; s = joint angles, tip, and whether the design can't start at all.
+
+    Task: bring the tip into the goal behind a zig-zag tunnel; the whole arm collides with its walls, through the
+    whole of each move. An action changes the five joint angles; the joints move one after another, the distal ones
+    first, each until its target or until a link touches a wall.
+    Randomised: the start posture, by `start_noise` per joint.
+    Success: the tip is inside the goal's radius; that ends the episode.
+    """
+
+    tunnel: Literal["zigzag", "paper"] = "zigzag"
+    """The tunnel: made for this project, or measured from the paper's figure."""
+    z: Literal["joints", "tip"] = "joints"
+    """What hardware puts out: all joint positions, or the paper's end-effector alone."""
+    action_scale: float = 0.2
+    """rad: largest change of a joint angle per control step."""
+    start_noise: float = 0.05
+    """rad: standard deviation of each joint angle at the start."""
+    sweep_substeps: int = 8
+    """Postures tested for collision along the move of each joint."""
+    distance_weight: float = 1.0
+    """Reward per metre between tip and goal (enters with a minus)."""
+    centre_weight: float = 0.5
+    """beta_0: reward per metre between tip and centre line, at most `centre_limit` (enters with a minus)."""
+    centre_limit: float = 4.0
+    """m: beyond this the distance to the centre line counts no more."""
+    collision_weight: float = 0.2
+    """beta_1: reward for a move that contact stops altogether (enters with a minus)."""
+    goal_bonus: float = 10.0
+    """beta_2: reward for touching the goal."""
+    stuck_cost: float = 10.0
+    """Cost of each step of a design whose start posture reaches into the tunnel or a wall."""
+    reward_scale: float = 0.02
+    """All of the above are multiplied by it: returns of order one suit the critic."""
+
+    name: str = field(default="reacher", init=False)
+    title: str = field(default="5-link arm through a zig-zag tunnel", init=False)
+    horizon: int = field(default=60, init=False)
+    control_dt: float = field(default=0.1, init=False)
+    state_size: int = field(default=LINKS + 3, init=False)
+    observation_size: int = field(default=3 * LINKS + 2, init=False)
+    action_size: int = field(default=LINKS, init=False)
+    proxy_input_size: int = field(default=2 * LINKS, init=False)
+    z_scale: float = field(default=3.0, init=False)
+
+    def __post_init__(self) -> None:
+        if self.tunnel not in TUNNELS:
+            raise ValueError(f'unknown tunnel "{self.tunnel}"; choose from: {", ".join(sorted(TUNNELS))}')
+        if self.z not in ("joints", "tip"):
+            raise ValueError(f'unknown z "{self.z}"; choose from: joints, tip')
+        for name in ("action_scale", "start_noise", "distance_weight", "centre_weight", "centre_limit",
+                     "collision_weight", "goal_bonus", "stuck_cost", "reward_scale"):  # fmt: skip
+            value = getattr(self, name)
+            if not isinstance(value, int | float) or not 0 <= value < np.inf:
+                raise ValueError(f"{name} must be a finite number, not negative, and is {value!r}")
+        if not isinstance(self.sweep_substeps, int) or self.sweep_substeps < 1:
+            raise ValueError(f"sweep_substeps must be a whole number of at least 1, not {self.sweep_substeps!r}")
+
+    @property
+    def config(self) -> Config:
+        return Config()
+
+    @property
+    def design_space(self) -> DesignSpace:
+        return DesignSpace(
+            tuple(
+                Parameter(f"link_{i + 1}", "m", lo=0.05, hi=5.0, initial=3.0, hard_lo=0.05, hard_hi=5.0)
+                for i in range(LINKS)
+            )
+        )
+
+    @property
+    def z_size(self) -> int:
+        return 2 if self.z == "tip" else 2 * LINKS
+
+    @property
+    def walls(self) -> Tunnel:
+        return TUNNELS[self.tunnel]
+
+    @property
+    def start(self) -> np.ndarray:
+        """(5,) rad: joint angles of the start posture."""
+        return np.diff(np.deg2rad(self.walls.start_headings), prepend=0.0)
+
+    def hw_phy(self, phi: np.ndarray) -> ForwardKinematics:
+        return ForwardKinematics(np.asarray(phi, dtype=float), self.z == "tip")
+
+    def reset(self, hw_phy: Hardware, environments: int, rng: np.random.Generator) -> np.ndarray:
+        noise = self.start_noise * rng.standard_normal((environments, LINKS))
+        outline = self._outline(hw_phy, self._state(np.tile(self.start, (environments, 1))), np.zeros_like(noise))
+        stuck = (outline[..., 0] > self.walls.xs[0]).any(-1)
+        # A start beyond the mouth could stand through the tunnel already; noise alone must never put it there.
+        for _ in range(8):
+            outline = self._outline(hw_phy, self._state(self.start + noise), np.zeros_like(noise))
+            noise[(outline[..., 0] > self.walls.xs[0]).any(-1)] /= 2
+        noise[(outline[..., 0] > self.walls.xs[0]).any(-1)] = 0.0
+        s = self._state(self.start + noise)
+        s[:, LINKS : LINKS + 2] = self._outline(hw_phy, s, np.zeros_like(noise))[:, -1]
+        s[:, -1] = stuck
+        return s
+
+    def observe(self, s: np.ndarray) -> np.ndarray:
+        heading = np.cumsum(s[:, :LINKS], -1)
+        tip = s[:, LINKS : LINKS + 2]
+        return np.concatenate([np.sin(heading), np.cos(heading), s[:, :LINKS] / 3, tip / 5], 1, dtype=np.float32)
+
+    def proxy_input(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        # Sines and cosines of absolute angles make the kinematics linear in the features: easy for the proxy.
+        heading = np.cumsum(s[:, :LINKS] + a, -1)
+        return np.concatenate([np.sin(heading), np.cos(heading)], 1, dtype=np.float32)
+
+    def sample_pairs(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        near = self.start + 0.8 * rng.standard_normal((count // 2, LINKS))
+        anywhere = rng.uniform(-1, 1, (count - count // 2, LINKS)) * np.array([3.1, 3.5, 3.5, 3.5, 3.5])
+        return self._state(np.concatenate([near, anywhere])), self.action_scale * rng.uniform(-1, 1, (count, LINKS))
+
+    def step(self, hardware: Hardware, s: np.ndarray, action: np.ndarray) -> Transition:
+        stuck = s[:, -1] > 0
+        wish = np.where(stuck[:, None], 0.0, self.action_scale * np.clip(action, -1, 1))
+        if isinstance(hardware, ForwardKinematics):
+            a, blocked, contact = self._sweep(hardware, s[:, :LINKS], wish)
+        else:
+            a, blocked, contact = self._stop_at_end(hardware, s, wish)
+        z = hardware(s, a)
+        tip = z[:, -2:]
+        after = np.concatenate([s[:, :LINKS] + a, tip, s[:, -1:]], 1)
+        distance = np.linalg.norm(tip - np.array(self.walls.goal), axis=1)
+        off_centre = np.abs(tip[:, 1] - self.walls.centre(tip[:, 0]))
+        touch = (distance < self.walls.goal_radius) & ~stuck & (blocked < 1)
+        terms = {
+            "distance": -self.distance_weight * distance,
+            "centre": -self.centre_weight * np.minimum(off_centre, self.centre_limit),
+            "collision": -self.collision_weight * blocked,
+            "goal": self.goal_bonus * touch,
+        }
+        terms = {name: self.reward_scale * np.where(stuck, 0.0, term) for name, term in terms.items()}
+        terms["stuck"] = -self.reward_scale * self.stuck_cost * stuck
+        return Transition(after, a, z, sum(terms.values(), np.zeros(len(s))), terms, touch, touch, contact)
+
+    def _sweep(self, arm: ForwardKinematics, q: np.ndarray, wish: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Move the joints one after another, the distal ones first, each until its target or contact.
+
+        Return the executed changes (N, 5) rad, the share of the joints' moves that contact took (N,), and where the
+        arm was stopped (N, 3) m.
+        """
+        n = self.sweep_substeps
+        points = arm.outline(q)  # (N, 6, 2)
+        done = np.ones_like(q)  # share of each joint's move
+        contact = np.full((len(q), 3), np.nan)
+        for j in reversed(range(LINKS)):
+            pivot = points[:, j]
+            arms = points[:, j + 1 :] - pivot[:, None]  # what turns about joint j
+            swing = np.abs(wish[:, j]) * np.sqrt((arms**2).sum(-1).max(-1))
+            near = (points[:, j:, 0].max(1) + swing > self.walls.xs[0]).nonzero()[0]  # the others can't reach a wall
+            swept = _turn(pivot[near], arms[near], np.arange(1, n + 1)[:, None] / n * wish[near, j])
+            steps = np.logical_and.accumulate(self.walls.depth(swept) < TOLERANCE, 0).sum(0)
+            done[near, j] = steps / n
+            stopped = (steps < n).nonzero()[0]
+            contact[near[stopped], :2] = self.walls.deepest(swept[steps[stopped], stopped])
+            contact[near[stopped], 2] = 0.0
+            points[:, j:] = _turn(pivot, arms, done[:, j] * wish[:, j])
+        return done * wish, 1 - done.mean(1), contact
+
+    def _stop_at_end(self, hardware: Hardware, s: np.ndarray, wish: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Refuse moves that would end inside a wall: all that a hardware known only by its z can tell."""
+        outline = self._outline(hardware, s, wish)
+        refused = self.walls.depth(outline) > TOLERANCE
+        contact = np.full((len(s), 3), np.nan)
+        contact[refused] = np.pad(self.walls.deepest(outline[refused]), ((0, 0), (0, 1)))
+        return np.where(refused[:, None], 0.0, wish), refused.astype(float), contact
+
+    def _outline(self, hardware: Hardware, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the points (N, P, 2) that can collide: of the whole arm, or, in the world of a tip, just that."""
+        if isinstance(hardware, ForwardKinematics):
+            return hardware.outline(s[:, :LINKS] + a)
+        z = hardware(s, a).reshape(len(s), -1, 2)
+        return z if self.z == "tip" else np.pad(z, ((0, 0), (1, 0), (0, 0)))
+
+    @staticmethod
+    def _state(q: np.ndarray) -> np.ndarray:
+        return np.pad(q, ((0, 0), (0, 3)))
+
+    def spec(self, phi: np.ndarray) -> mujoco.MjSpec:
+        spec = mujoco.MjSpec()
+        spec.modelname = "reacher"
+        body = spec.worldbody
+        body.add_geom(
+            name="base", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[2 * LINK_RADIUS, LINK_RADIUS, 0], rgba=BASE_COLOUR
+        )
+        for i, (length, angle) in enumerate(zip(phi, self.start, strict=True)):
+            body = body.add_body(name=f"link_{i + 1}", pos=[phi[i - 1] if i else 0.0, 0.0, 0.0])
+            body.add_joint(
+                name=f"joint_{i + 1}", axis=[0, 0, 1], ref=0.0, springref=0.0, damping=[JOINT_DAMPING, 0, 0],
+                armature=JOINT_ARMATURE,
+            )  # fmt: skip
+            geom = body.add_geom(
+                name=f"link_{i + 1}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, length, 0, 0],
+                size=[LINK_RADIUS, 0, 0], density=LINK_DENSITY, rgba=LINK_COLOURS[i],
+            )  # fmt: skip
+            geom.contype, geom.conaffinity = 1, 2  # neighbouring links share a joint: they never collide
+            servo = spec.add_actuator(
+                name=f"joint_{i + 1}", target=f"joint_{i + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
+            servo.set_to_position(kp=SERVO_KP, kv=SERVO_KV)
+            servo.forcerange, servo.forcelimited = [-SERVO_TORQUE, SERVO_TORQUE], True
+        body.add_site(name="tip", pos=[phi[-1], 0, 0], size=[LINK_RADIUS, 0, 0])
+        spec.add_key(name="start", qpos=self.start)
+        return spec
+
+    def scene(self, phi: np.ndarray) -> mujoco.MjSpec:
+        spec = self.spec(phi)
+        walls = self.walls
+        bottom, top = min(walls.ys) - walls.gap / 2 - WALL_MARGIN, max(walls.ys) + walls.gap / 2 + WALL_MARGIN
+        for side, sign, edge in (("lower", -1, bottom), ("upper", 1, top)):
+            for k in range(len(walls.xs) - 1):
+                face = [(walls.xs[i], walls.ys[i] + sign * walls.gap / 2) for i in (k, k + 1)]
+                corners = [*face, (walls.xs[k + 1], edge), (walls.xs[k], edge)]
+                name = f"wall_{side}_{k + 1}"
+                vertices = [(x, y, z) for z in (-WALL_HEIGHT / 2, WALL_HEIGHT / 2) for x, y in corners]
+                spec.add_mesh(name=name, uservert=np.ravel(vertices))
+                geom = spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
+                geom.rgba, geom.contype, geom.conaffinity = WALL_COLOUR, 2, 1
+        goal = spec.worldbody.add_geom(
+            name="goal", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[walls.goal_radius, LINK_RADIUS / 2, 0],
+            pos=[*walls.goal, 0], rgba=GOAL_COLOUR,
+        )  # fmt: skip
+        goal.contype = goal.conaffinity = 0
+        return spec
+
+    def qpos(self, s: np.ndarray) -> np.ndarray:
+        return s[:, :LINKS]
+
+
+def _turn(pivot: np.ndarray, arms: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return pivot and arm ends (..., N, P + 1, 2) after turning arms (N, P, 2) about pivots (N, 2) by angle (..., N)."""
+    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    points = np.empty((*angle.shape, arms.shape[1] + 1, 2))
+    points[..., 0, :] = pivot
+    points[..., 1:, 0] = pivot[:, None, 0] + cos * arms[..., 0] - sin * arms[..., 1]
+    points[..., 1:, 1] = pivot[:, None, 1] + sin * arms[..., 0] + cos * arms[..., 1]
+    return points
