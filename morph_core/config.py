@@ -63,7 +63,9 @@ class Config:
     kappa: float = 0.5
     """Weight of the task's pull on the proxy under `exploration=design`."""
     z_sigma: float = 0.5
-    """sigma_z: scale of the exploration of z, in units of z."""
+    """sigma_z: scale of the exploration of z under `exploration=design`, in units of z."""
+    z_noise: float = 0.1
+    """Standard deviation of z around the proxy's output under `exploration=gaussian`, in units of z."""
     z_clip_coef: float = 0.6
     """PPO's clip of the probability ratio of z under `exploration=gaussian`."""
     advantage_limit: float = 3.0

@@ -1,0 +1,1 @@
+"""What MORPH is compared with: the same parts without the proxy."""

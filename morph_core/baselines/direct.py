@@ -1,0 +1,38 @@
+"""`direct`, ours and not the paper's: a natural evolution strategy on phi from whole-episode returns."""
+
+import itertools
+from collections.abc import Iterator
+
+from morph_core.config import Config
+from morph_core.exploration import design_sigma, episode_advantage, explore_designs
+from morph_core.objective import improve_control, make_batch, set_learning_rates
+from morph_core.protocol import Progress
+from morph_core.rollout import collect
+from morph_core.state import State
+from morph_core.task import Task
+
+
+def direct(task: Task, config: Config, state: State) -> Iterator[Progress]:
+    """Yield one Progress per iteration, for ever; the yardstick for how much design signal an iteration holds."""
+    learner = state.learner
+    for iteration in itertools.count(state.iteration + 1):
+        sigma = design_sigma(iteration, config)
+        set_learning_rates(learner, iteration, config)
+        designs = explore_designs(state, config.trajectories, sigma)
+        hw_phy = task.hw_phy(designs)
+        start = task.reset(hw_phy, config.trajectories, state.rng)
+        rollout = collect(task, lambda observation: learner.policy.act(observation, state.rng), hw_phy, start)
+        improve_control(state, make_batch(task, learner, rollout, config), iteration, config)
+        advantage = episode_advantage(rollout.returns, config.advantage_limit)
+        step = (advantage[:, None] * (designs - state.phi)).mean(0)  # E[A (phi_i - phi)], the natural gradient
+        state.phi = state.design_space.clip(state.phi + config.direct_step * step)
+        state.iteration, state.env_steps = iteration, state.env_steps + rollout.steps
+        yield Progress(
+            iteration=iteration,
+            env_steps=state.env_steps,
+            phi=state.phi.tolist(),
+            episode_return=float(rollout.returns.mean()),
+            success=float(rollout.successes.mean()),
+            policy_std=learner.policy.mean_std,
+            design_sigma=sigma,
+        )

@@ -1,0 +1,43 @@
+"""Success and return, always on Hw-Phy with the given phi; and one recorded episode for playback."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from morph_core.networks import Policy
+from morph_core.rollout import Rollout, collect
+from morph_core.task import Task
+
+
+@dataclass(frozen=True)
+class Score:
+    """Means over episodes."""
+
+    success: float
+    episode_return: float
+
+
+def evaluate(
+    task: Task, policy: Policy, phi: np.ndarray, episodes: int, rng: np.random.Generator, sampled: bool
+) -> tuple[Score, Rollout]:
+    """Run the policy, sampled or deterministic, on Hw-Phy with phi (d,)."""
+    hw_phy = task.hw_phy(phi)
+    start = task.reset(hw_phy, episodes, rng)
+    rollout = collect(task, lambda observation: policy.act(observation, rng if sampled else None), hw_phy, start)
+    return Score(float(rollout.successes.mean()), float(rollout.returns.mean())), rollout
+
+
+def record_episode(task: Task, rollout: Rollout, phi: np.ndarray, episode: int = 0) -> dict[str, np.ndarray]:
+    """Return one episode of a rollout as the arrays of a rollout file; T steps, T + 1 postures."""
+    steps = int(rollout.alive[:, episode].sum())
+    after = rollout.s[steps, episode] if steps < len(rollout.s) else rollout.last_s[episode]
+    states = np.concatenate([rollout.s[:steps, episode], after[None]])
+    return {
+        "qpos": task.qpos(states),
+        "action": rollout.a[:steps, episode],
+        "contact": rollout.contact[:steps, episode],
+        "success": rollout.success[:steps, episode],
+        "reward": rollout.reward[:steps, episode],
+        "phi": phi,
+        **{f"reward_terms/{name}": term[:steps, episode] for name, term in rollout.reward_terms.items()},
+    }

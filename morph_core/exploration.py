@@ -1,0 +1,90 @@
+"""How z is explored, so that the policy gradient can reach psi: one world to collect in, one pull on the proxy each."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from morph_core.config import Config
+from morph_core.networks import Proxy, log_normal
+from morph_core.rollout import Rollout
+from morph_core.state import State
+from morph_core.task import Hardware, Task
+
+Pull = Callable[[Tensor, Tensor], Tensor]
+"""proxy outputs m (B, z_size) of the samples with indices (B,) -> dL_task/dm (B, z_size)"""
+
+
+def annealed(first: float, last: float, iteration: int, config: Config) -> float:
+    """Return a value that goes geometrically from first to last over the schedule, and stays there."""
+    share = min(1.0, (iteration - 1) / max(1, config.schedule_iterations - 1))
+    return first * (last / first) ** share
+
+
+def design_sigma(iteration: int, config: Config) -> float:
+    """Sigma of the explored designs in units of each parameter's scale."""
+    return annealed(config.design_sigma, config.design_sigma_end, iteration, config)
+
+
+def explore_designs(state: State, count: int, sigma: float) -> np.ndarray:
+    """Return designs (N, d) around phi: antithetic pairs, inside the box, locked entries kept."""
+    half = state.rng.standard_normal((count // 2, len(state.phi)))
+    noise = np.concatenate([half, -half])
+    return state.design_space.clip(state.phi + sigma * state.design_space.scale * noise)
+
+
+def episode_advantage(returns: np.ndarray, limit: float) -> np.ndarray:
+    """Return standardised episode returns (N,), clipped at +-limit."""
+    return np.clip((returns - returns.mean()) / (returns.std(ddof=1) + 1e-8), -limit, limit)
+
+
+def linearised_pull(rollout: Rollout, z_phi: np.ndarray, config: Config) -> Pull:
+    """The pull of exploration `design`, linearised at F_phi.
+
+    L_task = -kappa A (z - F_phi) . (m - F_phi) / sigma_z^2, with A the episode's standardised return and z what the
+    episode's own design did. With the divergence its optimum is m = F_phi + eta E[A (z - F_phi) | s, a],
+    eta = kappa / (2 alpha sigma_z^2). The plain score A log h is unbounded for negative A and diverges.
+    """
+    advantage = np.broadcast_to(episode_advantage(rollout.returns, config.advantage_limit), rollout.alive.shape)
+    drift = rollout.z[rollout.alive] - z_phi
+    slope = -config.kappa / config.z_sigma**2 * advantage[rollout.alive][:, None] * drift
+    gradient = torch.from_numpy(slope.astype(np.float32))
+    return lambda m, index: gradient[index] / len(m)
+
+
+def clipped_pull(rollout: Rollout, m_before: Tensor, advantage: Tensor, config: Config) -> Pull:
+    """The pull of exploration `gaussian`: PPO's clipped surrogate with the probability ratio of z."""
+    z = torch.from_numpy(rollout.z[rollout.alive].astype(np.float32))
+    sigma = torch.tensor(config.z_noise)
+    log_before = log_normal(z, m_before, sigma)
+
+    def pull(m: Tensor, index: Tensor) -> Tensor:
+        m = m.detach().requires_grad_()
+        ratio = (log_normal(z[index], m, sigma) - log_before[index]).clamp(-10, 10).exp()
+        limited = ratio.clamp(1 - config.z_clip_coef, 1 + config.z_clip_coef)
+        loss = -torch.min(ratio * advantage[index], limited * advantage[index]).mean()
+        return torch.autograd.grad(loss, m)[0]
+
+    return pull
+
+
+@dataclass(frozen=True)
+class GaussianProxy:
+    """The proxy's world with z ~ N(h_psi(s, a), z_noise^2), as `Hardware`."""
+
+    proxy: Proxy
+    sigma: float
+    rng: np.random.Generator
+
+    def __call__(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        z = self.proxy.hardware(s, a)
+        return z + self.sigma * self.rng.standard_normal(z.shape)
+
+
+def explored_world(task: Task, state: State, config: Config, sigma: float) -> Hardware:
+    """Line 2: the hardware in whose world this iteration's trajectories run."""
+    if config.exploration == "gaussian":
+        return GaussianProxy(state.learner.proxy, config.z_noise, state.rng)
+    return task.hw_phy(explore_designs(state, config.trajectories, sigma))

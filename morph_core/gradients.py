@@ -1,0 +1,41 @@
+"""The two gradients: how far they agree (S_c), and what becomes of g_task where they do not."""
+
+from collections.abc import Iterable
+
+import torch
+from torch import Tensor
+
+from morph_core.config import Projection
+
+TINY = 1e-12
+"""Keeps a zero gradient from making a NaN."""
+
+
+def flatten(gradients: Iterable[Tensor]) -> Tensor:
+    return torch.cat([g.reshape(-1) for g in gradients])
+
+
+def write_gradient(parameters: Iterable[Tensor], gradient: Tensor) -> None:
+    """Set `.grad` of the parameters to consecutive pieces of the flat gradient."""
+    offset = 0
+    for p in parameters:
+        p.grad = gradient[offset : offset + p.numel()].view_as(p)
+        offset += p.numel()
+
+
+def cosine(g_task: Tensor, g_hw: Tensor) -> float:
+    """S_c(g_task, g_hw); 0 where one of them vanishes."""
+    return float(g_task @ g_hw / (g_task.norm() * g_hw.norm() + TINY))
+
+
+def project(g_task: Tensor, g_hw: Tensor, rule: Projection) -> Tensor:
+    """Return g_task, where it conflicts with g_hw projected on the plane normal to it.
+
+    `as_printed` divides by ||g_hw|| as the paper prints it: a projection only where that norm is 1. `one_sided`
+    divides by its square, as the paper's words and PCGrad's authors have it.
+    """
+    dot = g_task @ g_hw
+    if rule == "none" or dot >= 0:
+        return g_task
+    square = g_hw @ g_hw
+    return g_task - dot / ((square.sqrt() if rule == "as_printed" else square) + TINY) * g_hw

@@ -1,0 +1,69 @@
+"""Algorithm 1: co-optimise policy and proxy, then find the design whose physics match the proxy."""
+
+import itertools
+from collections.abc import Iterator
+
+import torch
+
+from morph_core.config import Config
+from morph_core.derive import derive_design, relabel
+from morph_core.exploration import clipped_pull, design_sigma, explored_world, linearised_pull
+from morph_core.objective import fit_proxy, improve_control, improve_proxy, make_batch, set_learning_rates
+from morph_core.protocol import Progress
+from morph_core.rollout import collect
+from morph_core.state import State
+from morph_core.task import Task
+
+
+def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
+    """Yield one Progress per iteration, for ever; between two of them `state` is the caller's to read and to edit."""
+    learner = state.learner
+    if not state.fitted:
+        fit_proxy(task, state, config)
+        state.fitted = True
+    for iteration in itertools.count(state.iteration + 1):  # line 1
+        sigma = design_sigma(iteration, config)
+        set_learning_rates(learner, iteration, config)
+        hw_phy = task.hw_phy(state.phi)
+
+        world = explored_world(task, state, config, sigma)  # line 2
+        start = task.reset(world, config.trajectories, state.rng)
+        rollout = collect(task, lambda observation: learner.policy.act(observation, state.rng), world, start)
+
+        batch = make_batch(task, learner, rollout, config)  # line 3, Eq. 2
+        s, a = rollout.s[rollout.alive], rollout.a[rollout.alive]
+        z_phi = hw_phy(s, a)
+        if config.exploration == "gaussian":
+            with torch.no_grad():
+                m_before = learner.proxy(torch.from_numpy(task.proxy_input(s, a)))
+            pull = clipped_pull(rollout, m_before, batch.advantage, config)
+        else:
+            pull = linearised_pull(rollout, z_phi, config)
+        improve_control(state, batch, iteration, config)
+        update = improve_proxy(task, state, rollout, hw_phy, z_phi, pull, config)
+
+        search_cost = None
+        if iteration % config.design_interval == 0:  # line 4
+            dataset = relabel(rollout, learner.proxy, config.search_pairs, state.rng)  # line 5
+            seed = int(state.rng.integers(1, 2**31))
+            state.phi, search_cost = derive_design(  # line 6, Eq. 3
+                task, state.design_space, dataset, state.phi, config, seed
+            )
+
+        state.iteration, state.env_steps = iteration, state.env_steps + rollout.steps
+        yield Progress(
+            iteration=iteration,
+            env_steps=state.env_steps,
+            phi=state.phi.tolist(),
+            episode_return=float(rollout.returns.mean()),
+            success=float(rollout.successes.mean()),
+            policy_std=learner.policy.mean_std,
+            design_sigma=sigma if config.exploration == "design" else None,
+            divergence=update.divergence,
+            search_cost=search_cost,
+            cosine=update.cosine,
+            cosine_negative=update.cosine_negative,
+            cosine_by_parameter=update.cosine_by_parameter,
+            alpha=state.alpha,
+            projection=state.projection,
+        )

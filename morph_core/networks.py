@@ -1,0 +1,93 @@
+"""The three networks: policy pi_theta, critic, and the proxy Hw-NN h_psi."""
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from morph_core.config import Config
+from morph_core.task import Task
+
+SMALLEST_STD, LARGEST_STD = 0.02, 2.0
+LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
+
+
+def mlp(inputs: int, hidden: int, outputs: int, activation: type[nn.Module], rng: torch.Generator) -> nn.Sequential:
+    """Return two hidden layers of `hidden` units, initialised from `rng`."""
+    layers = [nn.Linear(inputs, hidden), activation(), nn.Linear(hidden, hidden), activation(), nn.Linear(hidden, outputs)]
+    for layer in layers:
+        if isinstance(layer, nn.Linear):
+            bound = 1 / math.sqrt(layer.in_features)
+            nn.init.uniform_(layer.weight, -bound, bound, generator=rng)
+            nn.init.uniform_(layer.bias, -bound, bound, generator=rng)
+    return nn.Sequential(*layers)
+
+
+def log_normal(x: Tensor, mean: Tensor, std: Tensor) -> Tensor:
+    """Return log N(x; mean, std^2), summed over the last dimension."""
+    return (-0.5 * ((x - mean) / std) ** 2 - torch.log(std) - LOG_SQRT_2PI).sum(-1)
+
+
+class Policy(nn.Module):
+    """pi_theta(a | s) = N(mu_theta(s), sigma_a), in units of the largest action."""
+
+    def __init__(self, task: Task, config: Config, rng: torch.Generator) -> None:
+        super().__init__()
+        self.mean = mlp(task.observation_size, config.hidden, task.action_size, nn.Tanh, rng)
+        nn.init.orthogonal_(self.mean[-1].weight, 0.01, generator=rng)  # pyright: ignore[reportArgumentType]
+        nn.init.zeros_(self.mean[-1].bias)  # pyright: ignore[reportArgumentType]
+        self.log_std = nn.Parameter(torch.full((task.action_size,), math.log(config.policy_std)))
+
+    @property
+    def std(self) -> Tensor:
+        return self.log_std.exp().clamp(SMALLEST_STD, LARGEST_STD)
+
+    @property
+    def mean_std(self) -> float:
+        return float(self.std.detach().mean())
+
+    def act(self, observation: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
+        """Return actions (N, action_size); the mean where `rng` is None."""
+        with torch.no_grad():
+            mean = self.mean(torch.from_numpy(observation)).numpy()
+            if rng is None:
+                return mean
+            return mean + self.std.numpy() * rng.standard_normal(mean.shape, dtype=np.float32)
+
+    def log_prob(self, observation: Tensor, action: Tensor) -> Tensor:
+        return log_normal(action, self.mean(observation), self.std)
+
+    def limit_std(self, largest: float) -> None:
+        with torch.no_grad():
+            self.log_std.clamp_(max=math.log(largest))
+
+
+class Critic(nn.Module):
+    """V(s, t): it sees the time, because an episode ends at the horizon whatever the state."""
+
+    def __init__(self, task: Task, config: Config, rng: torch.Generator) -> None:
+        super().__init__()
+        self.value = mlp(task.observation_size + 1, config.hidden, 1, nn.Tanh, rng)
+
+    def forward(self, observation: Tensor, time: Tensor) -> Tensor:
+        """Return values (...) for observations (..., o) at times (...) in [0, 1)."""
+        return self.value(torch.cat([observation, time[..., None]], -1))[..., 0]
+
+
+class Proxy(nn.Module):
+    """Hw-NN, h_psi(z | s, a)."""
+
+    def __init__(self, task: Task, config: Config, rng: torch.Generator) -> None:
+        super().__init__()
+        self._task = task
+        self.net = mlp(task.proxy_input_size, config.hidden, task.z_size, nn.SiLU, rng)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return z (N, z_size) for `task.proxy_input` features."""
+        return self.net(features) * self._task.z_scale
+
+    def hardware(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """The proxy as `Hardware`: z (N, z_size) float64 for states and executed actions."""
+        with torch.no_grad():
+            return self(torch.from_numpy(self._task.proxy_input(s, a))).numpy().astype(float)

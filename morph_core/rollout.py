@@ -1,0 +1,89 @@
+"""Trajectories: collect them with any policy on any hardware, and estimate advantages."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from morph_core.task import Hardware, Task
+
+Act = Callable[[np.ndarray], np.ndarray]
+"""observations (N, o) -> actions (N, action_size)"""
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """All trajectories of an iteration: T steps of N episodes. Steps after an episode's end are not `alive`."""
+
+    s: np.ndarray  # (T, N, state_size)
+    observation: np.ndarray  # (T, N, o) float32
+    action: np.ndarray  # (T, N, action_size) float32, what the policy asked for
+    a: np.ndarray  # (T, N, action_size) what was executed, physical units
+    z: np.ndarray  # (T, N, z_size)
+    reward: np.ndarray  # (T, N)
+    reward_terms: dict[str, np.ndarray]  # each (T, N)
+    alive: np.ndarray  # (T, N) bool
+    success: np.ndarray  # (T, N) bool
+    contact: np.ndarray  # (T, N, 3) m
+    last_s: np.ndarray  # (N, state_size)
+
+    @property
+    def steps(self) -> int:
+        """Environment steps taken."""
+        return int(self.alive.sum())
+
+    @property
+    def returns(self) -> np.ndarray:
+        """(N,) undiscounted return of each episode."""
+        return (self.reward * self.alive).sum(0)
+
+    @property
+    def successes(self) -> np.ndarray:
+        """(N,) bool: whether each episode reached the goal."""
+        return (self.success & self.alive).any(0)
+
+
+def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray) -> Rollout:
+    """Run N episodes from start states s (N, state_size) in the world of `hardware`."""
+    alive = np.ones(len(s), dtype=bool)
+    steps = []
+    for _ in range(task.horizon):
+        observation = task.observe(s)
+        action = act(observation)
+        transition = task.step(hardware, s, action)
+        steps.append((s, observation, action, transition, alive))
+        s, alive = transition.s, alive & ~transition.terminated
+        if not alive.any():
+            break
+    states, observations, actions, transitions, lives = zip(*steps, strict=True)
+    return Rollout(
+        s=np.stack(states),
+        observation=np.stack(observations),
+        action=np.stack(actions),
+        a=np.stack([t.a for t in transitions]),
+        z=np.stack([t.z for t in transitions]),
+        reward=np.stack([t.reward for t in transitions]),
+        reward_terms={name: np.stack([t.reward_terms[name] for t in transitions]) for name in transitions[0].reward_terms},
+        alive=np.stack(lives),
+        success=np.stack([t.success for t in transitions]),
+        contact=np.stack([t.contact for t in transitions]),
+        last_s=s,
+    )
+
+
+def advantages(rollout: Rollout, values: np.ndarray, gamma: float, gae_lambda: float) -> np.ndarray:
+    """Return generalised advantage estimates (T, N) from values (T, N) (Schulman et al. 2016).
+
+    A_t = sum_k (gamma lambda)^k delta_{t+k}, delta_t = r_t + gamma V_{t+1} - V_t. Beyond the horizon V is 0: the
+    horizon is part of the task and the critic sees the time, so that its end is an end and no truncation.
+    """
+    result = np.zeros_like(rollout.reward)
+    running = np.zeros(rollout.reward.shape[1])
+    following = np.zeros_like(running)
+    goes_on = np.zeros(len(running), dtype=bool)
+    for t in reversed(range(len(result))):
+        delta = rollout.reward[t] + gamma * following * goes_on - values[t]
+        running = delta + gamma * gae_lambda * running * goes_on
+        result[t] = running
+        following, goes_on = values[t], rollout.alive[t]
+    return result
