@@ -1,0 +1,89 @@
+"""The rules that a linter can't keep: no pickle, no torch in the web process, modules that say what they are."""
+
+import ast
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("morph_core", "studio")
+MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+IDS = [str(path.relative_to(ROOT)) for path in MODULES]
+UNPICKLERS = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+
+
+def _imports(tree: ast.Module) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.module
+
+
+def _unsafe_loads(tree: ast.Module) -> Iterator[str]:
+    """Yield what in `tree` can execute what a file holds."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.ImportFrom(module="torch", names=names):
+                yield from (f"from torch import {alias.name}" for alias in names if alias.name in ("load", "save"))
+            case ast.Attribute(value=ast.Name(id="torch"), attr="load" | "save" as name):
+                yield f"torch.{name}"
+            case ast.keyword(arg="allow_pickle", value=value) if ast.unparse(value) != "False":
+                yield f"allow_pickle={ast.unparse(value)}"
+    yield from (f"import {name}" for name in _imports(tree) if name.split(".")[0] in UNPICKLERS)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=IDS)
+def test_no_module_loads_code_from_a_file(path: Path) -> None:
+    assert list(_unsafe_loads(ast.parse(path.read_text()))) == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import pickle",
+        "from cloudpickle import load",
+        "import torch; torch.load(path)",
+        "from torch import save",
+        "import numpy as np; np.load(path, allow_pickle=True)",
+    ],
+)
+def test_the_search_for_unsafe_loads_finds_them(line: str) -> None:
+    assert list(_unsafe_loads(ast.parse(line)))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=IDS)
+def test_every_module_says_what_it_is_in_its_first_line(path: Path) -> None:
+    docstring = ast.get_docstring(ast.parse(path.read_text()))
+    assert docstring
+    first = docstring.splitlines()[0]
+    assert len(first) > 15
+    assert first.rstrip()[-1] in ".:?"
+
+
+@pytest.mark.parametrize("module", ["studio.app", "studio.cli", "studio.viewer", "studio.export", "morph_core.history"])
+def test_the_web_process_never_loads_torch(module: str) -> None:
+    script = f"import json, sys, {module}; print(json.dumps([m for m in ('torch', 'cma') if m in sys.modules]))"
+    ended = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout) == []
+
+
+def test_importing_the_core_loads_no_web_viewer_or_mesh_library() -> None:
+    script = (
+        "import json, sys, morph_core.train; "
+        "names = ('fastapi', 'starlette', 'uvicorn', 'viser', 'trimesh', 'manifold3d'); "
+        "print(json.dumps([m for m in names if m in sys.modules]))"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout) == []
+
+
+def test_torch_is_bounded_to_one_minor_version() -> None:
+    assert '"torch>=2.13,<2.14"' in (ROOT / "pyproject.toml").read_text()
+    assert "torch==2.13.0" in (ROOT / "constraints.txt").read_text().splitlines()
