@@ -1,0 +1,109 @@
+"""Where an exported design comes from: its run and configuration, what a user changed, a digest of each file."""
+
+import hashlib
+import platform
+import time
+from collections.abc import Mapping
+from importlib import metadata
+
+import msgspec
+
+from morph_core.design import DesignSpace
+from morph_core.history import History
+from morph_core.protocol import Acknowledged, AnyCommand, DesignSpaceChanged, Parent, StateChanged
+
+KIND = "morph-studio export"
+
+
+class TakenCommand(msgspec.Struct, frozen=True):
+    """A command that was in force when the design came about."""
+
+    iteration: int
+    command: AnyCommand
+
+
+class Provenance(msgspec.Struct, frozen=True, kw_only=True):
+    """provenance.json. Everything but `exported` is the same each time the same design is exported."""
+
+    kind: str = KIND
+    run: str
+    iteration: int
+    task: str
+    task_options: dict[str, object]
+    method: str
+    seed: int
+    config: dict[str, object]
+    versions: dict[str, str]
+    """At the start of the run."""
+    export_versions: dict[str, str]
+    git_revision: str | None
+    git_dirty: bool | None
+    parent: Parent | None
+    created: float
+    commands: list[TakenCommand]
+    commands_sha256: str
+    sha256: dict[str, str]
+    """Of every other file."""
+    checks: list[str]
+    """How the exported files were compared with the simulated robot."""
+    exported: str
+    """UTC."""
+
+
+def provenance_of(history: History, iteration: int, files: Mapping[str, bytes], checks: list[str]) -> Provenance:
+    record = history.record
+    commands = [
+        TakenCommand(e.iteration, e.command)
+        for e in events_until(history, iteration)
+        if isinstance(e, Acknowledged) and e.accepted
+    ]
+    return Provenance(
+        run=history.folder.id,
+        iteration=iteration,
+        task=record.task,
+        task_options=record.task_options,
+        method=record.method,
+        seed=record.seed,
+        config=record.config,
+        versions=record.versions,
+        export_versions=_versions(),
+        git_revision=record.git_revision,
+        git_dirty=record.git_dirty,
+        parent=record.parent,
+        created=record.created,
+        commands=commands,
+        commands_sha256=hashlib.sha256(msgspec.json.encode(commands)).hexdigest(),
+        sha256={name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())},
+        checks=checks,
+        exported=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    )
+
+
+def design_space_at(history: History, iteration: int) -> DesignSpace:
+    """Return bounds and locks as they were in force in `iteration`."""
+    space = DesignSpace(tuple(history.record.parameters))
+    for event in events_until(history, iteration):
+        if isinstance(event, DesignSpaceChanged):
+            space = DesignSpace(tuple(event.parameters))
+    return space
+
+
+def events_until(history: History, iteration: int) -> list[Acknowledged | DesignSpaceChanged]:
+    """Return what took effect up to `iteration`: after an earlier one, and not undone by a resume from before."""
+    kept: list[Acknowledged | DesignSpaceChanged] = []
+    for event in history.events:
+        if isinstance(event, StateChanged) and event.status == "starting":
+            kept = [e for e in kept if e.iteration <= event.iteration]
+        elif isinstance(event, Acknowledged | DesignSpaceChanged) and event.iteration < iteration:
+            kept.append(event)
+    return kept
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for name in ("morph-studio", "mujoco", "numpy"):
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue  # run from a checkout that is not installed
+    return versions
