@@ -36,7 +36,7 @@ class Settings:
     runs: Path = field(default_factory=_runs)
     """MORPH_RUNS. The folder of run folders."""
     token: str | None = field(default_factory=_token, repr=False)
-    """MORPH_TOKEN. What a browser or API client must know; without one, a link made at the start lets one browser in."""
+    """MORPH_TOKEN. What browsers and API clients must know; without one, a link made at the start lets a browser in."""
     hosts: tuple[str, ...] = field(default_factory=_hosts)
     """MORPH_HOSTS, comma-separated. Further names under which this server is reached, e.g. behind a proxy."""
     open_browser: bool = True

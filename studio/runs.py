@@ -1,0 +1,500 @@
+"""The runs of one folder: prepare them, start, adopt and watch their trainers, and pass on commands."""
+
+import contextlib
+import dataclasses
+import importlib.metadata
+import math
+import os
+import platform
+import signal
+import subprocess
+import sys
+import threading
+import time
+import typing
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+import morph_core
+from morph_core.config import Method, check_field, config_from
+from morph_core.design import DesignSpace
+from morph_core.history import History
+from morph_core.protocol import (
+    AnyCommand,
+    Evaluation,
+    InjectDesign,
+    Lock,
+    Parameter,
+    Parent,
+    RunRecord,
+    SetAlpha,
+    SetBound,
+    SetProjection,
+    StateChanged,
+    Status,
+    Unlock,
+)
+from morph_core.run_folder import (
+    RunFolder,
+    RunFolderError,
+    create_run,
+    find_run,
+    list_runs,
+    new_run_id,
+    process_alive,
+)
+from morph_core.tasks import make_task
+
+ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
+"""What a trainer says last."""
+MAX_ITERATIONS = 1_000_000
+WATCHED = 20
+"""How many of the newest runs the viewer is offered, beside those that run and the one it shows."""
+_PACKAGES = ("morph-studio", "numpy", "torch", "mujoco", "cma", "viser")
+KEPT = 40
+"""How many runs are kept in memory at most."""
+_LOG_TAIL = 4096
+_EVENTS_TAIL = 65536
+
+
+def prepare_run(
+    runs: Path,
+    *,
+    task: str,
+    method: str = "morph",
+    seed: int = 0,
+    iterations: int = 100,
+    settings: Mapping[str, object] | None = None,
+    task_options: Mapping[str, object] | None = None,
+    parameters: Sequence[Parameter] | None = None,
+    parent: Parent | None = None,
+) -> RunFolder:
+    """Create the folder of a new run, ready for a trainer; raise ValueError that says what is allowed."""
+    try:
+        chosen = make_task(task, task_options)
+        config = config_from(dict(settings or {}), chosen.config)
+    except (TypeError, OverflowError) as error:  # a list where a number belongs, 10**400 where a float does
+        raise ValueError(f"a setting of {task} has the wrong type or size: {error}") from error
+    if method not in typing.get_args(Method):
+        raise ValueError(f'unknown method "{method}"; choose from: {", ".join(typing.get_args(Method))}')
+    _check_whole("seed", seed, 0, 2**32 - 1)
+    _check_whole("iterations", iterations, 1, MAX_ITERATIONS)
+    space = chosen.design_space
+    if parameters is not None:
+        space = _edited(space, parameters)
+    revision, dirty = git_state()
+    base = new_run_id(task, method, seed)
+    record = RunRecord(
+        id=base,
+        task=task,
+        task_options=dict(task_options or {}),
+        method=method,
+        seed=seed,
+        iterations=iterations,
+        config=dataclasses.asdict(config),
+        parameters=list(space.parameters),
+        versions=versions(),
+        git_revision=revision,
+        git_dirty=dirty,
+        created=time.time(),
+        parent=parent,
+    )
+    number = 1
+    while True:
+        name = base if number == 1 else f"{base}-{number}"
+        if not (runs / name).exists():
+            with contextlib.suppress(RunFolderError):  # another process was faster: take the next name
+                return create_run(runs, msgspec.structs.replace(record, id=name))
+        number += 1
+
+
+def _check_whole(name: str, value: object, lo: int, hi: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or not lo <= value <= hi:
+        raise ValueError(f"{name} must be a whole number from {lo} to {hi}, not {value!r}")
+
+
+def _edited(space: DesignSpace, parameters: Sequence[Parameter]) -> DesignSpace:
+    """Return `space` with the bounds, locks and initial values of `parameters`; the rest is the task's."""
+    for p in parameters:
+        i = space.index(p.name)
+        space = space.with_bound(p.name, p.lo, p.hi)
+        if p.locked_at is not None:
+            space = space.with_lock(p.name, p.locked_at)
+        if not space.parameters[i].lo <= p.initial <= space.parameters[i].hi:
+            raise ValueError(f"the initial {p.name} must lie inside [{p.lo:g}, {p.hi:g}] {p.unit}, not {p.initial:g}")
+        moved = msgspec.structs.replace(space.parameters[i], initial=p.initial)
+        space = DesignSpace((*space.parameters[:i], moved, *space.parameters[i + 1 :]))
+    return space
+
+
+def versions() -> dict[str, str]:
+    """Return the versions a run depends on, without importing what they name."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found
+
+
+def git_state() -> tuple[str | None, bool | None]:
+    """Return revision and dirty flag of the checkout this code runs from; None outside one."""
+    here = Path(__file__).resolve()
+
+    def git(*words: str) -> str:
+        command = ["git", "--no-optional-locks", "-C", str(here.parent), *words]
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout
+
+    try:
+        git("ls-files", "--error-unmatch", here.name)  # not some other checkout that this is installed in
+        return git("rev-parse", "HEAD").strip(), bool(git("status", "--porcelain", "--untracked-files=no").strip())
+    except (OSError, subprocess.SubprocessError):
+        return None, None
+
+
+def spawn_trainer(folder: RunFolder, *, further: int | None = None) -> subprocess.Popen[bytes]:
+    """Start the trainer of a run as a process of its own session: it outlives the server."""
+    code = str(Path(morph_core.__file__).resolve().parents[1])
+    environment = {name: value for name, value in os.environ.items() if name != "MORPH_TOKEN"}
+    environment |= {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    environment["PYTHONPATH"] = os.pathsep.join(p for p in (code, environment.get("PYTHONPATH")) if p)
+    path = folder.path.resolve()
+    # -P: code that lies in a run folder from elsewhere must not be imported.
+    command = [sys.executable, "-P", "-m", "morph_core.train", "--run", str(path)]
+    if further is not None:
+        command += ["--further", str(further)]
+    with (path / "trainer.log").open("ab") as log:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            cwd=path,
+            env=environment,
+            start_new_session=True,
+        )
+
+
+class Summary(msgspec.Struct, frozen=True, kw_only=True):
+    """One line of the list of runs."""
+
+    id: str
+    status: Status
+    reason: str = ""
+    """Why it is in this state, in words."""
+    current: bool = False
+    """The viewer shows this one."""
+    task: str | None = None
+    method: str | None = None
+    seed: int | None = None
+    created: float | None = None
+    iteration: int = 0
+    iterations: int | None = None
+    stage: str = ""
+    eta_seconds: float | None = None
+    success: float | None = None
+    """Of the sampled policy on Hw-Phy, at the last evaluation."""
+
+
+@dataclass
+class _Child:
+    """A trainer that this server started."""
+
+    process: subprocess.Popen[bytes]
+    spawned: float
+    log_start: int
+
+
+@dataclass
+class _Verdict:
+    """A witness's word that a trainer died; the trainer itself could not say it."""
+
+    time: float
+    reason: str
+
+
+class Runs:
+    """Thread-safe; every reading is fresh from the folder."""
+
+    def __init__(self, folder: Path, spawn: Callable[..., subprocess.Popen[bytes]] = spawn_trainer) -> None:
+        self.folder = folder
+        self._current: str | None = None
+        self._spawn = spawn
+        self._lock = threading.RLock()
+        self._histories: dict[str, History] = {}  # least recently used first
+        self._unreadable: dict[str, tuple[float, str]] = {}
+        self._ended: dict[str, tuple[int, Summary]] = {}
+        self._children: dict[str, _Child] = {}
+        self._seen_alive: dict[str, tuple[int, float]] = {}
+        self._verdicts: dict[str, _Verdict] = {}
+
+    # --- reading ---
+
+    def get(self, run_id: str) -> History:
+        """Return the run as it is now; raise RunFolderError if it is unknown or unreadable."""
+        folder = find_run(self.folder, run_id)
+        with self._lock:
+            history = self._tail(folder)
+            self._judge(history)
+            return history
+
+    def status(self, history: History) -> tuple[Status, str]:
+        """Return what the run does and why, including what only a witness of its trainer's death can know."""
+        run_id = history.folder.id
+        with self._lock:
+            spoken = history.state.time if history.state else 0.0
+            verdict, child = self._verdicts.get(run_id), self._children.get(run_id)
+            if verdict and spoken < verdict.time:
+                return "failed", verdict.reason
+            if child and spoken < child.spawned:
+                return "starting", "the trainer starts"
+            return history.status, history.message
+
+    def summary(self, run_id: str) -> Summary:
+        """Return one line about a run, whatever its state; raise RunFolderError only if there is no such run."""
+        folder = find_run(self.folder, run_id)
+        try:
+            return self._ended_summary(folder) or self._summarise(self.get(run_id))
+        except RunFolderError as error:
+            return Summary(id=run_id, status="unreadable", reason=str(error))
+
+    def summaries(self) -> list[Summary]:
+        """Return all runs, newest first."""
+        shown = self.shown()
+        lines = []
+        for run_id in self.ids():
+            with contextlib.suppress(RunFolderError):  # removed this very moment
+                lines.append(msgspec.structs.replace(self.summary(run_id), current=run_id == shown))
+        return lines
+
+    def ids(self) -> list[str]:
+        """Return the names of all runs, newest first."""
+        return list_runs(self.folder)[::-1]
+
+    def watched(self) -> dict[str, History]:
+        """Return the runs the viewer may show, newest first: recent, running, and the current one."""
+        names = self.ids()
+        with self._lock:
+            wanted = {*names[:WATCHED], *self._children, self._current}
+        histories = {}
+        for name in names:
+            if name in wanted:
+                with contextlib.suppress(RunFolderError):
+                    histories[name] = self.get(name)
+        return histories
+
+    def show(self, run_id: str) -> None:
+        """Let the viewer show this run."""
+        self.get(run_id)
+        self._current = run_id
+
+    def shown(self) -> str | None:
+        """Return the run the viewer shows: the one chosen or started last, or else the newest that can be read."""
+        for run_id in (self._current, *self.ids()):
+            with contextlib.suppress(RunFolderError):
+                if run_id is not None:
+                    self.get(run_id)
+                    return run_id
+        return None
+
+    # --- acting ---
+
+    def start(self, **wishes: typing.Any) -> str:
+        """Create a run as `prepare_run` does, start its trainer and show it; return its id."""
+        folder = prepare_run(self.folder, **wishes)
+        with self._lock:
+            self._launch(folder, None)
+        self._current = folder.id
+        return folder.id
+
+    def resume(self, run_id: str, further: int | None = None) -> None:
+        """Start a trainer that goes on from the newest checkpoint; ValueError if one is at work or nothing is left."""
+        if further is not None:
+            _check_whole("further", further, 1, MAX_ITERATIONS)
+        with self._lock:
+            history = self.get(run_id)
+            status, _ = self.status(history)
+            if self._is_alive(history):
+                raise ValueError(f"{run_id} has a trainer already and is {status}; send it the command resume instead")
+            if status == "finished" and further is None:
+                raise ValueError(f"{run_id} has finished: say how many iterations it shall do further")
+            self._launch(history.folder, further)
+        self._current = run_id
+
+    def send(self, run_id: str, command: AnyCommand) -> int:
+        """Put a command into the run's inbox and return its id; ValueError, the run unchanged, if it is no good."""
+        history = self.get(run_id)
+        command = check_command(command, history.design_space)
+        with self._lock:
+            if not self._is_alive(history):
+                raise ValueError(f"{run_id} is {self.status(history)[0]}: resume it, then send commands")
+        return history.folder.send(command)
+
+    # --- trainers ---
+
+    def _launch(self, folder: RunFolder, further: int | None) -> None:
+        log = folder.path / "trainer.log"
+        start = log.stat().st_size if log.exists() else 0
+        spawned = time.time()
+        self._verdicts.pop(folder.id, None)
+        self._seen_alive.pop(folder.id, None)
+        self._children[folder.id] = _Child(self._spawn(folder, further=further), spawned, start)
+
+    def _is_alive(self, history: History) -> bool:
+        child = self._children.get(history.folder.id)
+        return (child is not None and child.process.poll() is None) or history.folder.trainer_alive()
+
+    def _judge(self, history: History) -> None:
+        """Reap a trainer that has ended, and find out whether it died without a word."""
+        run_id = history.folder.id
+        child = self._children.get(run_id)
+        if child is not None:
+            code = child.process.poll()
+            if code is None:
+                return
+            del self._children[run_id]
+            history.poll()  # its last words
+            spoken = history.state is not None and history.state.time >= child.spawned
+            if not (spoken and history.state and history.state.status in ENDED) and not history.folder.trainer_alive():
+                self._verdicts[run_id] = _Verdict(time.time(), _cause(code, history.folder, child.log_start))
+            return
+        beat = history.heartbeat
+        if beat is None or history.status in ENDED:
+            return
+        process = (beat.pid, beat.process_started)
+        if process_alive(*process):  # adopted, or started by someone else on this machine
+            self._seen_alive[run_id] = process
+            self._verdicts.pop(run_id, None)
+        elif self._seen_alive.get(run_id) == process:
+            del self._seen_alive[run_id]
+            self._verdicts[run_id] = _Verdict(time.time(), _cause(None, history.folder, 0))
+
+    # --- opening ---
+
+    def _tail(self, folder: RunFolder) -> History:
+        """Return the run's history, polled; an unreadable run is not read again until its run.json changes."""
+        try:
+            changed = (folder.path / "run.json").stat().st_mtime
+        except OSError:
+            changed = 0.0
+        known = self._unreadable.get(folder.id)
+        if known and known[0] == changed:
+            raise RunFolderError(known[1])
+        history = self._histories.pop(folder.id, None)
+        try:
+            if history is None:
+                history = History(folder)
+            else:
+                history.poll()
+            if history.record.id != folder.id:
+                raise RunFolderError(f"run.json of {folder.id} names another run: {history.record.id[:80]!r}")
+        except (ValueError, OSError) as error:  # foreign parameters, a directory where a file belongs, no permission
+            reason = str(error) if isinstance(error, RunFolderError) else f"{folder.id} can't be read: {error}"
+            self._unreadable[folder.id] = changed, reason
+            raise RunFolderError(reason) from error
+        self._histories[folder.id] = history
+        if len(self._histories) > KEPT:
+            del self._histories[next(iter(self._histories))]
+        return history
+
+    def _summarise(self, history: History) -> Summary:
+        status, reason = self.status(history)
+        record, beat = history.record, history.heartbeat
+        at_work = beat if beat and status not in (*ENDED, "lost", "starting") else None
+        return Summary(
+            id=history.folder.id,
+            status=status,
+            reason=reason,
+            task=record.task,
+            method=record.method,
+            seed=record.seed,
+            created=record.created,
+            iteration=history.iteration,
+            iterations=max(beat.iterations, record.iterations) if beat else record.iterations,
+            stage=at_work.stage if at_work else "",
+            eta_seconds=at_work.eta_seconds if at_work else None,
+            success=history.evaluations[-1].sampled_success if history.evaluations else None,
+        )
+
+    def _ended_summary(self, folder: RunFolder) -> Summary | None:
+        """Return the line of a run that has ended from the end of its log alone: hundreds of runs stay quick to list."""
+        with self._lock:
+            if folder.id in self._children or folder.id in self._verdicts or folder.id in self._histories:
+                return None
+        try:
+            size = folder.events.stat().st_size
+        except OSError:
+            return None
+        known = self._ended.get(folder.id)
+        if known and known[0] == size:
+            return known[1]
+        events, _ = folder.read_events(max(0, size - _EVENTS_TAIL))
+        states = [event for event in events if isinstance(event, StateChanged)]
+        if not states or states[-1].status not in ENDED:
+            return None
+        record, beat = folder.record(), folder.heartbeat()
+        line = Summary(
+            id=folder.id,
+            status=states[-1].status,
+            reason=states[-1].message,
+            task=record.task,
+            method=record.method,
+            seed=record.seed,
+            created=record.created,
+            iteration=states[-1].iteration,
+            iterations=max(beat.iterations, record.iterations) if beat else record.iterations,
+            success=next((e.sampled_success for e in reversed(events) if isinstance(e, Evaluation)), None),
+        )
+        self._ended[folder.id] = size, line
+        return line
+
+
+def check_command(command: AnyCommand, space: DesignSpace) -> AnyCommand:
+    """Return the command with its fields' types made sure of; raise ValueError that says what is allowed."""
+    try:
+        command = msgspec.convert(msgspec.to_builtins(command), AnyCommand)
+    except (msgspec.ValidationError, TypeError, OverflowError) as error:
+        raise ValueError(f"this is no command: {error}") from error
+    match command:
+        case SetAlpha(alpha=alpha):
+            check_field("alpha", alpha)
+        case SetProjection(projection=projection):
+            check_field("projection", projection)
+        case SetBound(name=name, lo=lo, hi=hi):
+            space.with_bound(name, lo, hi)
+        case Lock(name=name, value=value):
+            space.index(name)
+            if value is not None:
+                space.with_lock(name, value)
+        case Unlock(name=name):
+            space.index(name)
+        case InjectDesign(phi=phi):
+            space.check(phi)
+            for p, value in zip(space.parameters, phi, strict=True):
+                if p.locked_at is not None and not math.isclose(value, p.locked_at):
+                    raise ValueError(f"{p.name} is locked at {p.locked_at:g} {p.unit}, not {value:g}: unlock it first")
+    return command
+
+
+def _cause(code: int | None, folder: RunFolder, log_start: int) -> str:
+    """Say why a trainer ended: the signal that killed it, or the last line of its log."""
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        hint = " (perhaps out of memory)" if name == "SIGKILL" else ""
+        return f"the trainer was killed by {name}{hint}; resume goes on from its newest checkpoint"
+    last = _last_line(folder.path / "trainer.log", log_start)
+    if code is None:
+        return "the trainer died" + (f": {last}" if last else "; resume goes on from its newest checkpoint")
+    return last or f"the trainer ended with exit status {code} and without a word"
+
+
+def _last_line(log: Path, start: int) -> str:
+    try:
+        with log.open("rb") as file:
+            file.seek(max(start, log.stat().st_size - _LOG_TAIL))
+            lines = file.read(_LOG_TAIL).decode("utf-8", "replace").split("\n")
+    except OSError:
+        return ""
+    return next((line.strip()[:500] for line in reversed(lines) if line.strip()), "")

@@ -1,0 +1,231 @@
+"""Whom the server lets in, on every route and websocket: the name it is called by, the page that asks, the token."""
+
+import base64
+import hashlib
+import hmac
+import html
+import secrets
+import threading
+from collections.abc import Callable, Iterable
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs, urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from studio.settings import Settings
+
+OPEN_PATHS = frozenset({"/healthz"})
+"""What needs no token. Host and Origin are checked here too."""
+
+PAGE_CSP = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+    "frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'self'"
+)
+_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Content-Security-Policy": PAGE_CSP,
+    "Cache-Control": "no-store",
+}
+
+
+class Access:
+    """The token, the cookie that stands for it, and the one-time ticket of the printed link."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.hosts = _allowed_names(settings)
+        # Cookies don't tell ports apart: two servers on one machine need two names.
+        self.cookie_name = f"morph_studio_{settings.port}"
+        self._token = settings.token or secrets.token_urlsafe(32)
+        self._one_time = settings.token is None
+        self._ticket = self._token if settings.token else secrets.token_urlsafe(24)
+        self._lock = threading.Lock()
+        self.on_ticket_used: Callable[[], None] = lambda: None
+        """Called after the one-time ticket was used: `ticket` is a new one then."""
+
+    @property
+    def ticket(self) -> str:
+        """What the link `/?token=...` carries: the given token, or one that works once."""
+        return self._ticket
+
+    @property
+    def cookie(self) -> str:
+        """The cookie's value; it says nothing about the token and outlives a restart with the same token."""
+        return hmac.new(self._token.encode(), b"morph-studio cookie", hashlib.sha256).hexdigest()
+
+    def redeem(self, ticket: str) -> bool:
+        """Tell whether `ticket` lets a browser in; a one-time ticket is void afterwards."""
+        with self._lock:
+            if not _same(ticket, self._ticket):
+                return False
+            if self._one_time:
+                self._ticket = secrets.token_urlsafe(24)
+        if self._one_time:
+            self.on_ticket_used()
+        return True
+
+    def knows(self, headers: Headers) -> bool:
+        """Tell whether the request carries the cookie or the token."""
+        scheme, _, bearer = headers.get("authorization", "").partition(" ")
+        if scheme.lower() == "bearer" and _same(bearer.strip(), self._token):
+            return True
+        try:
+            morsel = SimpleCookie(headers.get("cookie", "")).get(self.cookie_name)
+        except CookieError:
+            return False
+        return morsel is not None and _same(morsel.value, self.cookie)
+
+    def refusal(self, headers: Headers) -> str | None:
+        """Return why Host or Origin are wrong, or None. A missing Origin is the caller's to judge."""
+        hosts = headers.getlist("host")
+        if len(hosts) != 1 or _name_of(hosts[0]) not in self.hosts:
+            return "wrong Host: call this server by the name in its link (more names: MORPH_HOSTS)"
+        origins = headers.getlist("origin")
+        if origins and (len(origins) != 1 or not _same_origin(origins[0], hosts[0])):
+            return "wrong Origin: only this server's own pages may ask"
+        return None
+
+
+class Guard:
+    """ASGI middleware around the whole application, so that a new route or websocket is guarded from its first day."""
+
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self.app = app
+        self.access = access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            await self._http(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await self._websocket(scope, receive, send)
+        else:
+            await self.app(scope, receive, send)
+
+    async def _http(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in _HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        response = self._answer(scope)
+        await (response or self.app)(scope, receive, send_with_headers)
+
+    def _answer(self, scope: Scope) -> Response | None:
+        """Return the refusal, the cookie for a good link, or None where the request may pass."""
+        headers, path = Headers(scope=scope), scope["path"]
+        why = self.access.refusal(headers)
+        if why:
+            return JSONResponse({"detail": why}, 403)
+        if path in OPEN_PATHS:
+            return None
+        known = self.access.knows(headers)
+        if path == "/" and scope["method"] in ("GET", "HEAD"):
+            ticket = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+            if ticket and (known or self.access.redeem(ticket)):
+                return self._enter(scope)
+            if not known:
+                return _login_page(bool(ticket), headers.get("sec-fetch-site") == "cross-site")
+        if known:
+            return None
+        return JSONResponse(
+            {"detail": "no token: open the link that the server printed, or send Authorization: Bearer TOKEN"},
+            401,
+            {"WWW-Authenticate": "Bearer"},
+        )
+
+    def _enter(self, scope: Scope) -> Response:
+        response = RedirectResponse("/", 303)
+        response.set_cookie(
+            self.access.cookie_name,
+            self.access.cookie,
+            httponly=True,
+            samesite="strict",
+            secure=scope["scheme"] == "https",
+        )
+        return response
+
+    async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = Headers(scope=scope)
+        status = 0
+        if self.access.refusal(headers) or "origin" not in headers:
+            status = 403
+        elif not self.access.knows(headers):
+            status = 401
+        if not status:
+            await self.app(scope, receive, send)
+            return
+        await receive()  # websocket.connect
+        if "websocket.http.response" in scope.get("extensions", {}):
+            await send({"type": "websocket.http.response.start", "status": status, "headers": []})
+            await send({"type": "websocket.http.response.body", "body": b""})
+        else:
+            await send({"type": "websocket.close", "code": 4000 + status})
+
+
+def _allowed_names(settings: Settings) -> frozenset[str]:
+    names: Iterable[str] = ("localhost", "127.0.0.1", "::1", settings.host, *settings.hosts)
+    unspecified = {"0.0.0.0", "::", ""}  # where a server listens, never what it is called
+    return frozenset(name.lower().strip("[]") for name in names) - unspecified
+
+
+def _name_of(host: str) -> str | None:
+    """Return the name in a Host header without its port, or None if it is malformed."""
+    try:
+        parts = urlsplit(f"//{host}")
+        _ = parts.port  # raises on what is no port
+    except ValueError:
+        return None
+    if parts.netloc != host or parts.username is not None or not parts.hostname:
+        return None
+    return parts.hostname.lower()
+
+
+def _same_origin(origin: str, host: str) -> bool:
+    scheme, _, netloc = origin.partition("://")
+    return scheme in ("http", "https") and netloc.lower() == host.lower()
+
+
+def _same(given: str, secret: str) -> bool:
+    return hmac.compare_digest(given.encode("utf-8", "replace"), secret.encode())
+
+
+_LOGIN_STYLE = (
+    "body{font:16px/1.5 system-ui,sans-serif;max-width:34rem;margin:18vh auto;padding:0 1.5rem;color-scheme:light dark}"
+    "h1{font-size:1.35rem;font-weight:650}"
+    "input,button{font:inherit;padding:.5em .8em;border-radius:.5em;border:1px solid #8886}"
+    "input{width:16rem;max-width:60%}code{font-size:.95em}"
+)
+
+
+def _login_page(tried: bool, from_elsewhere: bool) -> Response:
+    """The page for a browser without a cookie.
+
+    A link followed from another site arrives without its SameSite=Strict cookie, even right after it was set: one
+    reload from this page itself brings it along.
+    """
+    again = '<meta http-equiv="refresh" content="0;url=/">' if from_elsewhere else ""
+    reason = (
+        "That token does not fit, or its link was used already (each link works once; the newest is in the terminal)."
+        if tried
+        else "This studio is open to its owner only."
+    )
+    digest = _style_digest(_LOGIN_STYLE)
+    return HTMLResponse(
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>MORPH Studio</title>{again}'
+        f"<style>{_LOGIN_STYLE}</style></head><body><h1>MORPH Studio</h1><p>{html.escape(reason)} Open the link that "
+        '<code>morph-studio serve</code> printed, or paste its token:</p><form method="get" action="/">'
+        '<input name="token" type="password" autocomplete="off" aria-label="Token" autofocus required> '
+        "<button>Enter</button></form></body></html>",
+        401,
+        {"Content-Security-Policy": PAGE_CSP.replace("style-src 'self'", f"style-src '{digest}'")},
+    )
+
+
+def _style_digest(style: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
