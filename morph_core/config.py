@@ -123,7 +123,7 @@ def check_field(name: str, value: object) -> None:
         if value not in choices:
             raise ValueError(f'unknown {name} "{value}"; choose from: {", ".join(choices)}')
         return
-    if isinstance(value, bool) or not isinstance(value, int | float) or (kinds[name] is int and not isinstance(value, int)):
+    if isinstance(value, bool) or not isinstance(value, int if kinds[name] is int else int | float):
         raise ValueError(f"{name} must be {'a whole number' if kinds[name] is int else 'a number'}, not {value!r}")
     if not math.isfinite(value):
         raise ValueError(f"{name} must be finite, not {value}")

@@ -100,7 +100,7 @@ def _by_gradient(task: Task, space: DesignSpace, dataset: Dataset, start: np.nda
         hw_phy = task.hw_phy(phi)
         jacobian = getattr(hw_phy, "jacobian", None)
         if jacobian is None:
-            raise ValueError(f'search "gradient" needs a differentiable Hw-Phy, and that of {task.name} is not: use "cma"')
+            raise ValueError(f'the Hw-Phy of {task.name} is not differentiable: search by "cma", not by "gradient"')
         dz = jacobian(dataset.s, dataset.a)  # (n, z, d)
         residual = hw_phy(dataset.s, dataset.a) - dataset.z
         if step is None:

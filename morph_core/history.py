@@ -18,6 +18,8 @@ from morph_core.protocol import (
 )
 from morph_core.run_folder import LOST_AFTER, RunFolder, RunFolderError, process_alive
 
+ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
+
 
 class History:
     """A tail of one run folder. `poll` takes in what is new; everything else answers from memory."""
@@ -42,7 +44,8 @@ class History:
         events, self._offset = self.folder.read_events(self._offset)
         for event in events:
             match event:
-                case StateChanged(status="starting", iteration=iteration):  # a resume voids what came after its checkpoint
+                # A resume voids what came after its checkpoint.
+                case StateChanged(status="starting", iteration=iteration):
                     self.progress = [p for p in self.progress if p.iteration <= iteration]
                     self.evaluations = [e for e in self.evaluations if e.iteration <= iteration]
                 case Progress():
@@ -62,14 +65,14 @@ class History:
     def status(self) -> Status:
         """What the trainer last said, unless it is gone: then `lost` (no word of an end, no process, no heartbeat)."""
         status: Status = self.state.status if self.state else "starting"
-        if status in ("stopped", "finished", "failed"):
+        if status in ENDED:
             return status
         beat = self.heartbeat
         if beat is None:
             return status if time.time() - self.record.created < LOST_AFTER else "lost"
         alive = process_alive(beat.pid, beat.process_started) or 0 <= time.time() - beat.time < LOST_AFTER
         if not alive:
-            return "lost"
+            return beat.status if beat.status in ENDED else "lost"
         return beat.status if beat.status != "starting" else status
 
     @property
@@ -77,7 +80,7 @@ class History:
         """Why the run is in this state, in words."""
         if self.status == "lost":
             return "the trainer died without a word (killed, or the machine went down); resume goes on from checkpoint"
-        if self.heartbeat and self.heartbeat.message and self.status not in ("stopped", "finished", "failed"):
+        if self.heartbeat and self.heartbeat.message and self.status not in ENDED:
             return self.heartbeat.message
         return self.state.message if self.state else ""
 
@@ -112,7 +115,7 @@ class History:
         if which == "0":
             return 0, self.initial_phi
         if not which.isdecimal():
-            raise RunFolderError(f'no design "{which[:40]}"; choose best, latest or an iteration (0 is the initial one)')
+            raise RunFolderError(f'no design "{which[:40]}"; choose best, latest or an iteration (0: the initial one)')
         for progress in self.progress:
             if progress.iteration == int(which):
                 return progress.iteration, np.array(progress.phi)

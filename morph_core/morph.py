@@ -18,10 +18,10 @@ from morph_core.task import Task
 def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
     """Yield one Progress per iteration, for ever; between two of them `state` is the caller's to read and to edit."""
     learner = state.learner
-    if not state.fitted:
-        fit_proxy(task, state, config)
-        state.fitted = True
     for iteration in itertools.count(state.iteration + 1):  # line 1
+        if not state.fitted:
+            fit_proxy(task, state, config)
+            state.fitted = True
         sigma = design_sigma(iteration, config)
         set_learning_rates(learner, iteration, config)
         hw_phy = task.hw_phy(state.phi)

@@ -15,13 +15,12 @@ LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
 
 def mlp(inputs: int, hidden: int, outputs: int, activation: type[nn.Module], rng: torch.Generator) -> nn.Sequential:
     """Return two hidden layers of `hidden` units, initialised from `rng`."""
-    layers = [nn.Linear(inputs, hidden), activation(), nn.Linear(hidden, hidden), activation(), nn.Linear(hidden, outputs)]
-    for layer in layers:
-        if isinstance(layer, nn.Linear):
-            bound = 1 / math.sqrt(layer.in_features)
-            nn.init.uniform_(layer.weight, -bound, bound, generator=rng)
-            nn.init.uniform_(layer.bias, -bound, bound, generator=rng)
-    return nn.Sequential(*layers)
+    first, second, last = nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)
+    for layer in (first, second, last):
+        bound = 1 / math.sqrt(layer.in_features)
+        nn.init.uniform_(layer.weight, -bound, bound, generator=rng)
+        nn.init.uniform_(layer.bias, -bound, bound, generator=rng)
+    return nn.Sequential(first, activation(), second, activation(), last)
 
 
 def log_normal(x: Tensor, mean: Tensor, std: Tensor) -> Tensor:

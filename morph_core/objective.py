@@ -9,7 +9,6 @@ from torch import Tensor, nn
 from morph_core.config import Config
 from morph_core.exploration import Pull, annealed
 from morph_core.gradients import cosine, flatten, project, write_gradient
-from morph_core.networks import Proxy
 from morph_core.rollout import Rollout, advantages
 from morph_core.state import Learner, State
 from morph_core.task import Hardware, Task
@@ -114,29 +113,28 @@ def improve_proxy(
             divergences.append(float((error**2).sum(-1).mean()))
             write_gradient(psi, project(g_task, g_hw, state.projection) + state.alpha * g_hw)
             optimizer.step()
-    shares = cosine_by_parameter(hw_phy, proxy, features, target, s, a, pull, config.search_pairs)
+    index = torch.linspace(0, len(s) - 1, min(config.search_pairs, len(s))).long()  # spread evenly
+    with torch.no_grad():
+        m = proxy(features[index])
+    shares = cosine_by_parameter(
+        hw_phy, s[index], a[index], g_task=pull(m, index).numpy(), g_hw=(m - target[index]).numpy()
+    )
     return ProxyUpdate(
         float(np.mean(divergences)), float(np.mean(cosines)), float(np.mean(np.array(cosines) < 0)), shares
     )
 
 
 def cosine_by_parameter(
-    hw_phy: Hardware, proxy: Proxy, features: Tensor, target: Tensor, s: np.ndarray, a: np.ndarray, pull: Pull, pairs: int
+    hw_phy: Hardware, s: np.ndarray, a: np.ndarray, g_task: np.ndarray, g_hw: np.ndarray
 ) -> list[float | None] | None:
-    """Return each design parameter's share: the cosine of both gradients of z along dz/dphi_i, over evenly spread pairs.
+    """Return each design parameter's share: the cosine of two gradients of z (n, z_size) along dz/dphi_i.
 
-    None where Hw-Phy is not differentiable, and for a parameter that moves nothing in these pairs.
+    None where Hw-Phy is not differentiable, and for a parameter that moves nothing in these n pairs.
     """
     jacobian = getattr(hw_phy, "jacobian", None)
     if jacobian is None:
         return None
-    index = np.linspace(0, len(s) - 1, min(pairs, len(s))).astype(int)
-    with torch.no_grad():
-        m = proxy(features[index])
-    g_hw = (m - target[index]).numpy()
-    g_task = pull(m, torch.from_numpy(index)).numpy()
-    dz = jacobian(s[index], a[index])  # (n, z, d)
-    along_task, along_hw = (np.einsum("nzi,nz->ni", dz, g) for g in (g_task, g_hw))
+    along_task, along_hw = (np.einsum("nzi,nz->ni", jacobian(s, a), g) for g in (g_task, g_hw))
     norms = np.linalg.norm(along_task, axis=0) * np.linalg.norm(along_hw, axis=0)
     dots = (along_task * along_hw).sum(0)
     return [float(dot / norm) if norm > 0 else None for dot, norm in zip(dots, norms, strict=True)]

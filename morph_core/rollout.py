@@ -63,7 +63,9 @@ def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray) -> Rollout:
         a=np.stack([t.a for t in transitions]),
         z=np.stack([t.z for t in transitions]),
         reward=np.stack([t.reward for t in transitions]),
-        reward_terms={name: np.stack([t.reward_terms[name] for t in transitions]) for name in transitions[0].reward_terms},
+        reward_terms={
+            name: np.stack([t.reward_terms[name] for t in transitions]) for name in transitions[0].reward_terms
+        },
         alive=np.stack(lives),
         success=np.stack([t.success for t in transitions]),
         contact=np.stack([t.contact for t in transitions]),

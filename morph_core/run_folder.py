@@ -205,7 +205,7 @@ def write_durably(path: Path, content: bytes) -> None:
         raise
 
 
-# --- what only the trainer does -----------------------------------------------------------------------------------------
+# --- what only the trainer does ---
 
 
 @contextlib.contextmanager

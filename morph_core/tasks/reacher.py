@@ -324,20 +324,17 @@ class Reacher:
         body.add_geom(
             name="base", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[2 * LINK_RADIUS, LINK_RADIUS, 0], rgba=BASE_COLOUR
         )
-        for i, (length, angle) in enumerate(zip(phi, self.start, strict=True)):
+        for i, length in enumerate(phi):
             body = body.add_body(name=f"link_{i + 1}", pos=[phi[i - 1] if i else 0.0, 0.0, 0.0])
             body.add_joint(
-                name=f"joint_{i + 1}", axis=[0, 0, 1], ref=0.0, springref=0.0, damping=[JOINT_DAMPING, 0, 0],
-                armature=JOINT_ARMATURE,
-            )  # fmt: skip
+                name=f"joint_{i + 1}", axis=[0, 0, 1], damping=[JOINT_DAMPING, 0, 0], armature=JOINT_ARMATURE
+            )
             geom = body.add_geom(
                 name=f"link_{i + 1}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, length, 0, 0],
                 size=[LINK_RADIUS, 0, 0], density=LINK_DENSITY, rgba=LINK_COLOURS[i],
             )  # fmt: skip
             geom.contype, geom.conaffinity = 1, 2  # neighbouring links share a joint: they never collide
-            servo = spec.add_actuator(
-                name=f"joint_{i + 1}", target=f"joint_{i + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT
-            )
+            servo = spec.add_actuator(name=f"joint_{i + 1}", target=f"joint_{i + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
             servo.set_to_position(kp=SERVO_KP, kv=SERVO_KV)
             servo.forcerange, servo.forcelimited = [-SERVO_TORQUE, SERVO_TORQUE], True
         body.add_site(name="tip", pos=[phi[-1], 0, 0], size=[LINK_RADIUS, 0, 0])
@@ -369,7 +366,7 @@ class Reacher:
 
 
 def _turn(pivot: np.ndarray, arms: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Return pivot and arm ends (..., N, P + 1, 2) after turning arms (N, P, 2) about pivots (N, 2) by angle (..., N)."""
+    """Return pivots (N, 2) and arms (N, P, 2) turned about them by angle (..., N): points (..., N, P + 1, 2)."""
     cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
     points = np.empty((*angle.shape, arms.shape[1] + 1, 2))
     points[..., 0, :] = pivot

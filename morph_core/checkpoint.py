@@ -1,0 +1,137 @@
+"""Checkpoints: the whole State as safetensors and JSON, there whole or not at all."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import safetensors
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from morph_core.config import Config
+from morph_core.design import DesignSpace
+from morph_core.protocol import Parameter
+from morph_core.run_folder import RunFolder, RunFolderError
+from morph_core.state import State, start
+from morph_core.task import Task
+
+
+def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None:
+    """Write checkpoints/<iteration>/; an earlier one of the same iteration stays until the new one is whole."""
+    target = folder.checkpoint(state.iteration)
+    draft, old = _draft(target), _old(target)
+    shutil.rmtree(draft, ignore_errors=True)
+    draft.mkdir(parents=True)
+    try:
+        save_file(_tensors(state), draft / "weights.safetensors")
+        facts = {
+            "iteration": state.iteration,
+            "env_steps": state.env_steps,
+            "phi": state.phi.tolist(),
+            "parameters": msgspec.to_builtins(state.design_space.parameters),
+            "alpha": state.alpha,
+            "projection": state.projection,
+            "fitted": state.fitted,
+            "rng": state.rng.bit_generator.state,
+            "cpu_seconds": cpu_seconds,
+        }
+        (draft / "state.json").write_text(json.dumps(facts))
+        for path in (*draft.iterdir(), draft):
+            _sync(path)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+    if target.exists():
+        target.rename(old)
+    draft.rename(target)
+    _sync(target.parent)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def recover_checkpoints(folder: RunFolder) -> None:
+    """Tidy up after a trainer that died while saving: an old checkpoint moved aside comes back, drafts go."""
+    if not folder.checkpoints.is_dir():
+        return
+    for path in folder.checkpoints.glob(".*"):
+        target = folder.checkpoints / path.name.strip(".").partition(".")[0]
+        if path == _old(target) and not target.exists():
+            path.rename(target)
+        else:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def load_checkpoint(folder: RunFolder, iteration: int, task: Task, config: Config) -> tuple[State, float]:
+    """Return the state after `iteration` and the CPU seconds it took; RunFolderError says what is damaged."""
+    path = folder.checkpoint(iteration)
+    try:
+        facts = json.loads((path / "state.json").read_text())
+        tensors = load_file(path / "weights.safetensors")
+        space = DesignSpace(tuple(msgspec.convert(facts["parameters"], list[Parameter])))
+        state = start(task, config, 0, space)
+        state.iteration, state.env_steps = facts["iteration"], facts["env_steps"]
+        state.phi = space.check(facts["phi"])
+        state.alpha, state.projection, state.fitted = facts["alpha"], facts["projection"], facts["fitted"]
+        state.rng.bit_generator.state = facts["rng"]
+        _restore(state, tensors)
+        return state, facts["cpu_seconds"]
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError, safetensors.SafetensorError) as error:
+        raise RunFolderError(f"checkpoint {iteration} of {folder.id} can't be read: {error}") from error
+
+
+def load_newest(folder: RunFolder, task: Task, config: Config) -> tuple[State, float] | None:
+    """Return the newest checkpoint that can be read, or None; older ones stand in for a damaged one."""
+    for iteration in reversed(folder.checkpoint_iterations()):
+        try:
+            return load_checkpoint(folder, iteration, task, config)
+        except RunFolderError:
+            continue
+    return None
+
+
+def _tensors(state: State) -> dict[str, Tensor]:
+    tensors = {}
+    for name, module in state.learner.modules.items():
+        tensors |= {f"{name}/{key}": value.contiguous() for key, value in module.state_dict().items()}
+    for name, optimizer in state.learner.optimizers.items():
+        for index, moments in optimizer.state_dict()["state"].items():
+            tensors |= {f"{name}_optimizer/{index}/{key}": value.contiguous() for key, value in moments.items()}
+    return tensors
+
+
+def _restore(state: State, tensors: dict[str, Tensor]) -> None:
+    for name, module in state.learner.modules.items():
+        prefix = f"{name}/"
+        module.load_state_dict({k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)})
+    for name, optimizer in state.learner.optimizers.items():
+        moments: dict[int, dict[str, Tensor]] = {}
+        for key, value in tensors.items():
+            if key.startswith(f"{name}_optimizer/"):
+                _, index, moment = key.split("/")
+                moments.setdefault(int(index), {})[moment] = value
+        optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
+
+
+def all_finite(state: State) -> bool:
+    """Tell whether phi and every weight are finite."""
+    weights = (p for module in state.learner.modules.values() for p in module.parameters())
+    return bool(np.isfinite(state.phi).all()) and all(bool(torch.isfinite(p).all()) for p in weights)
+
+
+def _draft(target: Path) -> Path:
+    return target.with_name(f".{target.name}.draft")
+
+
+def _old(target: Path) -> Path:
+    return target.with_name(f".{target.name}.old")
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,347 @@
+"""The trainer process, `python -m morph_core.train --run DIR`: loops a method, writes the folder, obeys commands."""
+
+import argparse
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+import numpy as np
+import psutil
+import torch
+
+from morph_core import protocol
+from morph_core.baselines.direct import direct
+from morph_core.baselines.no_hw_opt import no_hw_opt
+from morph_core.checkpoint import all_finite, load_newest, recover_checkpoints, save_checkpoint
+from morph_core.config import Config, check_field, config_from
+from morph_core.design import DesignSpace
+from morph_core.episodes import evaluate, record_episode
+from morph_core.history import History
+from morph_core.morph import morph
+from morph_core.protocol import (
+    Acknowledged,
+    AnyCommand,
+    AnyEvent,
+    DesignSpaceChanged,
+    Evaluation,
+    Heartbeat,
+    Order,
+    Progress,
+    StateChanged,
+    Status,
+)
+from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, RunFolderError, hold, write_rollout
+from morph_core.state import State, start
+from morph_core.task import Task
+from morph_core.tasks import make_task
+
+T = TypeVar("T")
+METHODS: dict[str, Callable[[Task, Config, State], Iterator[Progress]]] = {
+    "morph": morph,
+    "no_hw_opt": no_hw_opt,
+    "direct": direct,
+}
+HEARTBEAT_SECONDS = 1.0
+POLL_SECONDS = 0.02
+RETRY_SECONDS = 1.0
+
+
+class Trainer:
+    """One run from its newest checkpoint on. `state` belongs to the method while it iterates, to us in between."""
+
+    def __init__(self, folder: RunFolder, further: int | None = None) -> None:
+        self._folder = folder
+        self._record = folder.record()
+        self._status: Status = "starting"
+        self._stage, self._message = "loading", ""
+        self._stopping = self._paused = self._step = False
+        self._durations: deque[float] = deque(maxlen=20)  # s, of the last iterations
+        self._iteration = self._env_steps = 0
+        history = History(folder)
+        self._last = history.iteration + further if further is not None else self._record.iterations
+        self._answered = {event.id for event in history.acknowledged}
+        self._process_started = psutil.Process().create_time()
+        self._heartbeat = HeartbeatFile(folder)
+        self.beat()
+        self._log = EventLog(folder)
+
+    def run(self) -> None:
+        """Train until the last iteration, a stop or an exception."""
+        task = make_task(self._record.task, self._record.task_options)
+        config = config_from(self._record.config)
+        state, cpu_before = self._load(task, config)
+        cpu_start = time.process_time() - cpu_before
+        if state.iteration < self._last:
+            self._enter("running", "learning" if state.fitted else "fitting the proxy")
+            self._between_iterations(state, cpu_start)
+        if state.iteration < self._last and not self._stopping:
+            began = time.monotonic()
+            for progress in METHODS[self._record.method](task, config, state):
+                self._take_in(task, config, state, progress, cpu_start)
+                self._durations.append(time.monotonic() - began)
+                self._between_iterations(state, cpu_start)
+                if self._stopping or progress.iteration >= self._last:
+                    break
+                began = time.monotonic()
+        if state.iteration >= self._last:
+            self._enter("finished", "finished", f"all {self._last} iterations are done")
+        else:
+            self._checkpoint(state, cpu_start)
+            self._enter("stopped", "stopped", f"stopped after iteration {state.iteration}; resume goes on from here")
+
+    def stop(self) -> None:
+        """End after the present iteration, with a checkpoint."""
+        self._stopping = True
+
+    def fail(self, reason: str) -> None:
+        """Say why the run ends; where not even that can be written, the heartbeat still says it."""
+        self._set("failed", "failed", reason)
+        with contextlib.suppress(OSError):
+            self._log.append(StateChanged(status="failed", iteration=self._iteration, message=reason))
+
+    def beat(self) -> None:
+        """Rewrite the heartbeat."""
+        remaining = max(0, self._last - self._iteration)
+        eta = float(np.mean(self._durations)) * remaining if self._durations else None
+        self._heartbeat.write(
+            Heartbeat(
+                pid=os.getpid(), process_started=self._process_started, time=time.time(), status=self._status,
+                stage=self._stage, iteration=self._iteration, iterations=self._last, env_steps=self._env_steps,
+                eta_seconds=eta, message=self._message,
+            )
+        )  # fmt: skip
+
+    # --- one iteration ---
+
+    def _load(self, task: Task, config: Config) -> tuple[State, float]:
+        recover_checkpoints(self._folder)
+        newest = load_newest(self._folder, task, config)
+        if newest is None:
+            state = start(task, config, self._record.seed, DesignSpace(tuple(self._record.parameters)))
+            newest = state, 0.0
+        state, _ = newest
+        self._iteration, self._env_steps = state.iteration, state.env_steps
+        origin = f"from the checkpoint of iteration {state.iteration}" if state.iteration else "from the initial design"
+        self._write(StateChanged(status="starting", iteration=state.iteration, message=origin))
+        self._write(DesignSpaceChanged(iteration=state.iteration, parameters=list(state.design_space.parameters)))
+        return newest
+
+    def _take_in(self, task: Task, config: Config, state: State, progress: Progress, cpu_start: float) -> None:
+        """Record an iteration; evaluate and save where it is due."""
+        if not all_finite(state) or not np.isfinite(progress.episode_return):
+            raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
+        self._iteration, self._env_steps = state.iteration, state.env_steps
+        self._write(msgspec.structs.replace(progress, cpu_seconds=time.process_time() - cpu_start))
+        if progress.iteration % config.evaluation_interval == 0 or progress.iteration >= self._last:
+            self._set("running", "evaluating")
+            self._evaluate(task, config, state, cpu_start)
+            self._set("running", "saving")
+            self._checkpoint(state, cpu_start)
+        self._set("running", "collecting and learning")
+
+    def _evaluate(self, task: Task, config: Config, state: State, cpu_start: float) -> None:
+        # Its own random numbers, so that what is learnt does not depend on how often it is evaluated.
+        rng = np.random.default_rng([self._record.seed, state.iteration])
+        policy = state.learner.policy
+        sampled, rollout = evaluate(task, policy, state.phi, config.evaluation_episodes, rng, sampled=True)
+        mean, _ = evaluate(task, policy, state.phi, config.evaluation_episodes, rng, sampled=False)
+        arrays = record_episode(task, rollout, state.phi)
+        name = self._persist(lambda: write_rollout(self._folder, state.iteration, arrays))
+        self._write(
+            Evaluation(
+                iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
+                sampled_success=sampled.success, sampled_return=sampled.episode_return,
+                deterministic_success=mean.success, deterministic_return=mean.episode_return,
+                rollout=name, cpu_seconds=time.process_time() - cpu_start,
+            )
+        )  # fmt: skip
+
+    def _checkpoint(self, state: State, cpu_start: float) -> None:
+        self._persist(lambda: save_checkpoint(self._folder, state, time.process_time() - cpu_start))
+
+    # --- commands ---
+
+    def _between_iterations(self, state: State, cpu_start: float) -> None:
+        """Obey what is in the inbox; hold here while paused."""
+        self._obey(state, cpu_start)
+        if not self._paused or self._step or self._stopping:
+            self._step = False
+            return
+        self._checkpoint(state, cpu_start)
+        self._enter("paused", "paused")
+        while self._paused and not self._step and not self._stopping:
+            time.sleep(POLL_SECONDS)
+            self._obey(state, cpu_start)
+        self._step = False
+        self._enter("running", "collecting and learning")
+
+    def _obey(self, state: State, cpu_start: float) -> None:
+        for path, order in self._folder.pending():
+            if order is not None and order.id not in self._answered:
+                self._answer(order, state, cpu_start)
+            path.unlink(missing_ok=True)
+
+    def _answer(self, order: Order, state: State, cpu_start: float) -> None:
+        try:
+            before, accepted = state.design_space, True
+            message = self._apply(order.command, state)
+        except ValueError as error:
+            before, accepted, message = state.design_space, False, str(error)
+        # The checkpoint comes before the word: what was acknowledged survives any crash.
+        if accepted and not isinstance(order.command, protocol.Pause | protocol.Resume | protocol.Step | protocol.Stop):
+            self._checkpoint(state, cpu_start)
+        if state.design_space != before:
+            parameters = list(state.design_space.parameters)
+            self._write(DesignSpaceChanged(iteration=state.iteration, parameters=parameters))
+        self._write(
+            Acknowledged(
+                id=order.id, iteration=state.iteration, accepted=accepted, command=order.command, message=message
+            )
+        )
+        self._answered.add(order.id)
+
+    def _apply(self, command: AnyCommand, state: State) -> str:
+        """Carry out one command; return what was done, or raise ValueError that says what is allowed."""
+        match command:
+            case protocol.Pause():
+                self._paused = True
+                return "paused"
+            case protocol.Resume():
+                self._paused = False
+                return "resumed"
+            case protocol.Step():
+                self._paused = self._step = True
+                return "one iteration"
+            case protocol.Stop():
+                self._stopping = True
+                return "stopping"
+            case protocol.Checkpoint():
+                return f"checkpoint of iteration {state.iteration} saved"
+        return apply_edit(command, state)
+
+    # --- saying and saving ---
+
+    def _enter(self, status: Status, stage: str, message: str = "") -> None:
+        self._write(StateChanged(status=status, iteration=self._iteration, message=message))
+        self._set(status, stage, message)
+
+    def _set(self, status: Status, stage: str, message: str = "") -> None:
+        self._status, self._stage, self._message = status, stage, message
+        self.beat()
+
+    def _write(self, event: AnyEvent) -> None:
+        self._persist(lambda: self._log.append(event))
+
+    def _persist(self, action: Callable[[], T]) -> T:
+        """Do something that writes; while the disk does not take it, pause and say so. Nothing written is lost."""
+        before = self._status, self._stage, self._message
+        while True:
+            try:
+                result = action()
+            except OSError as error:
+                if self._stopping:
+                    raise
+                self._set("paused", "waiting for the disk", f"the disk does not take the run's data: {error.strerror}")
+                time.sleep(RETRY_SECONDS)
+            else:
+                if self._stage == "waiting for the disk":
+                    self._set(*before)
+                return result
+
+
+def apply_edit(command: AnyCommand, state: State) -> str:
+    """Apply a change of alpha, projection, box, locks or phi; return what is in force, or raise ValueError."""
+    space = state.design_space
+    match command:
+        case protocol.SetAlpha(alpha=alpha):
+            check_field("alpha", alpha)
+            state.alpha = float(alpha)
+            return f"alpha is {alpha:g}"
+        case protocol.SetProjection(projection=rule):
+            check_field("projection", rule)
+            state.projection = rule
+            return f"projection is {rule}"
+        case protocol.SetBound(name=name, lo=lo, hi=hi):
+            _move(state, space.with_bound(name, lo, hi), state.phi)
+            return f"{name} is kept inside [{lo:g}, {hi:g}] {space.parameters[space.index(name)].unit}"
+        case protocol.Lock(name=name, value=value):
+            held = float(state.phi[space.index(name)]) if value is None else value
+            _move(state, space.with_lock(name, held), state.phi)
+            return f"{name} is locked at {held:g} {space.parameters[space.index(name)].unit}"
+        case protocol.Unlock(name=name):
+            _move(state, space.without_lock(name), state.phi)
+            return f"{name} is free"
+        case protocol.InjectDesign(phi=phi):
+            _move(state, space, space.check(phi))
+            return "going on from the given design"
+    raise ValueError(f"{type(command).__name__} changes nothing in a run's state")
+
+
+def _move(state: State, space: DesignSpace, phi: np.ndarray) -> None:
+    """Put the new box and phi in force; a proxy of another design would pull phi back, so it is fitted afresh."""
+    inside = space.clip(phi)
+    state.fitted = state.fitted and bool(np.array_equal(inside, state.phi))
+    state.design_space, state.phi = space, inside
+
+
+def train(folder: RunFolder, further: int | None = None) -> int:
+    """Run one trainer on the folder in this process; return the exit status."""
+    torch.set_num_threads(1)
+    with hold(folder):
+        trainer = Trainer(folder, further)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: trainer.stop())
+        ended = threading.Event()
+        beats = threading.Thread(target=_keep_beating, args=(trainer, ended), daemon=True)
+        beats.start()
+        try:
+            trainer.run()
+        except Exception as error:
+            traceback.print_exc()
+            trainer.fail(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
+            return 1
+        finally:
+            ended.set()
+            beats.join()
+    return 0
+
+
+def _keep_beating(trainer: Trainer, ended: threading.Event) -> None:
+    while not ended.wait(HEARTBEAT_SECONDS):
+        trainer.beat()
+
+
+def main() -> int:
+    """Parse the arguments; `--standby` waits, with everything loaded, for the arguments as JSON on standard input."""
+    parser = argparse.ArgumentParser(prog="python -m morph_core.train", description=__doc__)
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--run", type=Path, help="run folder")
+    what.add_argument("--standby", action="store_true", help='wait for {"run": DIR, "further": M or null} on stdin')
+    parser.add_argument("--further", type=int, help="iterations beyond the last recorded one (default: as planned)")
+    options = parser.parse_args()
+    if options.standby:
+        line = sys.stdin.readline()
+        if not line:
+            return 0  # whoever kept us in reserve is gone
+        order = msgspec.json.decode(line)
+        options.run, options.further = Path(order["run"]), order["further"]
+    if options.further is not None and options.further < 1:
+        parser.error(f"--further must be at least 1, not {options.further}")
+    try:
+        return train(RunFolder(options.run.resolve()), options.further)
+    except RunFolderError as error:
+        print(f"morph_core.train: {error}", file=sys.stderr)  # noqa: T201 - a process entry
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
