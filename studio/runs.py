@@ -244,11 +244,11 @@ class Runs:
         """Return what the run does and why, including what only a witness of its trainer's death can know."""
         run_id = history.folder.id
         with self._lock:
-            spoken = history.state.time if history.state else 0.0
-            verdict, child = self._verdicts.get(run_id), self._children.get(run_id)
-            if verdict and spoken < verdict.time:
+            verdict, child = self._witnessed_death(history), self._children.get(run_id)
+            if verdict:
                 return "failed", verdict.reason
-            if child and spoken < child.spawned:
+            spoken = history.state.time if history.state else 0.0
+            if child and (spoken < child.spawned or history.status == "lost"):  # no heartbeat of its own yet
                 return "starting", "the trainer starts"
             return history.status, history.message
 
@@ -344,7 +344,13 @@ class Runs:
 
     def _is_alive(self, history: History) -> bool:
         child = self._children.get(history.folder.id)
-        return (child is not None and child.process.poll() is None) or history.folder.trainer_alive()
+        if child is not None and child.process.poll() is None:
+            return True
+        return self._witnessed_death(history) is None and history.folder.trainer_alive()
+
+    def _witnessed_death(self, history: History) -> _Verdict | None:
+        verdict = self._verdicts.get(history.folder.id)
+        return verdict if verdict and (history.state is None or history.state.time < verdict.time) else None
 
     def _judge(self, history: History) -> None:
         """Reap a trainer that has ended, and find out whether it died without a word."""
@@ -356,8 +362,15 @@ class Runs:
                 return
             del self._children[run_id]
             history.poll()  # its last words
-            spoken = history.state is not None and history.state.time >= child.spawned
-            if not (spoken and history.state and history.state.status in ENDED) and not history.folder.trainer_alive():
+            state, beat = history.state, history.heartbeat
+            spoken = state is not None and state.time >= child.spawned and state.status in ENDED
+            # Refused because another trainer holds the folder: then it is not this one's death that counts.
+            other = (
+                beat is not None
+                and beat.pid != child.process.pid
+                and (process_alive(beat.pid, beat.process_started) or beat.time > child.spawned)
+            )
+            if not spoken and not other:
                 self._verdicts[run_id] = _Verdict(time.time(), _cause(code, history.folder, child.log_start))
             return
         beat = history.heartbeat
@@ -419,7 +432,7 @@ class Runs:
         )
 
     def _ended_summary(self, folder: RunFolder) -> Summary | None:
-        """Return the line of a run that has ended from the end of its log alone: hundreds of runs stay quick to list."""
+        """Return the line of a run that has ended from the end of its log alone: hundreds stay quick to list."""
         with self._lock:
             if folder.id in self._children or folder.id in self._verdicts or folder.id in self._histories:
                 return None

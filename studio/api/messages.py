@@ -1,0 +1,187 @@
+"""JSON in and out: bodies decoded strictly, answers encoded, and both in the OpenAPI schema."""
+
+from collections.abc import Callable, Coroutine
+from types import UnionType
+from typing import Annotated, TypeVar, cast
+
+import msgspec
+from fastapi import Request, Response
+
+from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Parent, Progress
+from studio.api.fields import Field
+from studio.runs import MAX_ITERATIONS, Summary
+
+MAX_BODY = 1 << 20
+Number = Annotated[int, msgspec.Meta(ge=1, le=MAX_ITERATIONS)]
+Body = TypeVar("Body")
+
+
+class StartRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What to run. `settings` are fields of the config, `task_options` fields of the task; unset ones are defaults."""
+
+    task: str
+    method: str = "morph"
+    seed: Annotated[int, msgspec.Meta(ge=0, lt=2**32)] = 0
+    iterations: Number = 100
+    settings: dict[str, object] = {}
+    task_options: dict[str, object] = {}
+    parameters: list[Parameter] | None = None
+    """Bounds, locks and initial values to start with; unnamed parameters keep the task's."""
+    parent: Parent | None = None
+
+
+class ResumeRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How far to go on."""
+
+    further: Number | None = None
+    """Iterations beyond the last recorded one; without it, up to the planned number."""
+
+
+class TaskInfo(msgspec.Struct, frozen=True):
+    """A task and what can be chosen about it."""
+
+    name: str
+    title: str
+    options: list[Field]
+    parameters: list[Parameter]
+    config: list[Field]
+    """The settings of a run, with the defaults that were found to work for this task."""
+
+
+class TaskList(msgspec.Struct, frozen=True):
+    """Everything a form for a new run needs."""
+
+    tasks: list[TaskInfo]
+    methods: list[str]
+
+
+class Accepted(msgspec.Struct, frozen=True):
+    """The number under which a command will be acknowledged as an event."""
+
+    id: int
+
+
+class RunState(Summary, frozen=True, kw_only=True):
+    """One run in full; the fields after `git_dirty` are None where the run is unreadable."""
+
+    task_options: dict[str, object] | None = None
+    config: dict[str, object] | None = None
+    parameters: list[Parameter] | None = None
+    """With the bounds and locks now in force."""
+    phi: list[float] | None = None
+    versions: dict[str, str] | None = None
+    git_revision: str | None = None
+    git_dirty: bool | None = None
+    parent: Parent | None = None
+    best: Evaluation | None = None
+    last_seq: int = 0
+    acknowledged: tuple[Acknowledged, ...] = ()
+    """The last few answers of the trainer to commands."""
+
+
+class Metrics(msgspec.Struct, frozen=True):
+    """The traces of a run."""
+
+    progress: list[Progress]
+    evaluations: list[Evaluation]
+
+
+class Design(msgspec.Struct, frozen=True):
+    """One phi, in the order of `names`."""
+
+    iteration: int
+    phi: list[float]
+
+
+class Designs(msgspec.Struct, frozen=True):
+    """The evolution of phi; iteration 0 is the initial design."""
+
+    names: list[str]
+    units: list[str]
+    best: int
+    latest: int
+    designs: list[Design]
+
+
+class Health(msgspec.Struct, frozen=True):
+    """`boot` changes with every start of the server."""
+
+    status: str
+    boot: str
+
+
+class Refusal(msgspec.Struct, frozen=True):
+    """A sentence that says what is allowed."""
+
+    detail: str
+
+
+def body_of(kind: type[Body] | UnionType) -> Callable[[Request], Coroutine[None, None, Body]]:
+    """Return a dependency that decodes the request's body; ValueError on anything but a whole `kind`.
+
+    JSON knows no NaN or infinity, and numbers beyond a float's range are refused by the decoder.
+    """
+    decoder = msgspec.json.Decoder(kind)
+
+    async def decode(request: Request) -> Body:
+        content = bytearray()
+        async for chunk in request.stream():
+            content += chunk
+            if len(content) > MAX_BODY:
+                raise ValueError(f"the body is longer than {MAX_BODY} bytes")
+        try:
+            return cast(Body, decoder.decode(bytes(content) or b"{}"))
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            raise ValueError(f"this body can't be used: {error}") from error
+
+    return decode
+
+
+def reply(message: object, status: int = 200) -> Response:
+    """Return the message as JSON."""
+    return Response(msgspec.json.encode(message), status, media_type="application/json")
+
+
+_KINDS = (
+    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, Metrics, Designs, Health, Refusal, AnyCommand, AnyEvent,
+)  # fmt: skip
+_REF = "#/components/schemas/{name}"
+
+
+def schemas() -> dict[str, object]:
+    """Return the OpenAPI components of all messages."""
+    return msgspec.json.schema_components(_KINDS, ref_template=_REF)[1]
+
+
+def schema(kind: object) -> dict[str, object]:
+    """Return the OpenAPI reference to a message."""
+    return msgspec.json.schema_components((kind,), ref_template=_REF)[0][0]
+
+
+def takes(kind: object, required: bool = True) -> dict[str, object]:
+    """Return the `openapi_extra` of a route with this body."""
+    return {"requestBody": {"required": required, "content": {"application/json": {"schema": schema(kind)}}}}
+
+
+def gives(kind: object, status: int = 200, description: str = "The answer") -> dict[int | str, dict[str, object]]:
+    """Return the `responses` of a route with this answer."""
+    answer = {"description": description, "content": {"application/json": {"schema": schema(kind)}}}
+    return {status: answer, **REFUSALS}
+
+
+def gives_file(media_type: str, description: str) -> dict[int | str, dict[str, object]]:
+    """Return the `responses` of a route that answers with a file or stream."""
+    return {200: {"description": description, "content": {media_type: {"schema": {"type": "string"}}}}, **REFUSALS}
+
+
+REFUSALS: dict[int | str, dict[str, object]] = {
+    status: {"description": text, "content": {"application/json": {"schema": schema(Refusal)}}}
+    for status, text in {
+        400: "No HTTP request",
+        401: "No token",
+        403: "Wrong Host or Origin",
+        404: "No such run, design or file",
+        422: "A value that is not allowed",
+        503: "The disk refuses",
+    }.items()
+}

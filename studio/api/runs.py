@@ -1,0 +1,85 @@
+"""/api/runs: list, start, steer and resume runs."""
+
+from typing import Annotated
+
+import msgspec
+from fastapi import APIRouter, Depends, Response
+
+from morph_core.protocol import AnyCommand
+from morph_core.run_folder import RunFolderError
+from studio.api.messages import Accepted, ResumeRun, RunState, StartRun, body_of, gives, reply, takes
+from studio.runs import Runs, Summary
+
+_ANSWERS_SHOWN = 20
+
+
+def state_of(runs: Runs, run_id: str) -> RunState:
+    """Return one run in full; raise RunFolderError only if there is no such run."""
+    line = {**msgspec.structs.asdict(runs.summary(run_id)), "current": runs.shown() == run_id}
+    try:
+        history = runs.get(run_id)
+    except RunFolderError:
+        return RunState(**line)
+    record = history.record
+    return RunState(
+        **line,
+        task_options=record.task_options,
+        config=record.config,
+        parameters=list(history.design_space.parameters),
+        phi=history.phi.tolist(),
+        versions=record.versions,
+        git_revision=record.git_revision,
+        git_dirty=record.git_dirty,
+        parent=record.parent,
+        best=history.best,
+        last_seq=history.events[-1].seq if history.events else 0,
+        acknowledged=tuple(history.acknowledged[-_ANSWERS_SHOWN:]),
+    )
+
+
+def runs_router(runs: Runs) -> APIRouter:
+    """Return the routes that list and steer runs."""
+    router = APIRouter(prefix="/api/runs", tags=["runs"])
+
+    @router.get("", responses=gives(list[Summary]), summary="All runs, newest first")
+    def summaries() -> Response:
+        return reply(runs.summaries())
+
+    @router.post(
+        "", status_code=201, openapi_extra=takes(StartRun), responses=gives(RunState, 201), summary="Start a run"
+    )
+    def start(wish: Annotated[StartRun, Depends(body_of(StartRun))]) -> Response:
+        run_id = runs.start(**msgspec.structs.asdict(wish))
+        return reply(state_of(runs, run_id), 201)
+
+    @router.get("/{run_id}", responses=gives(RunState), summary="One run in full")
+    def state(run_id: str) -> Response:
+        return reply(state_of(runs, run_id))
+
+    @router.post(
+        "/{run_id}/commands",
+        status_code=202,
+        openapi_extra=takes(AnyCommand),
+        responses=gives(Accepted, 202),
+        summary="Send a command to a running run; the trainer acknowledges it as an event",
+    )
+    def send(run_id: str, command: Annotated[AnyCommand, Depends(body_of(AnyCommand))]) -> Response:
+        return reply(Accepted(runs.send(run_id, command)), 202)
+
+    @router.post(
+        "/{run_id}/resume",
+        status_code=202,
+        openapi_extra=takes(ResumeRun, required=False),
+        responses=gives(RunState, 202),
+        summary="Start a trainer that goes on from the newest checkpoint",
+    )
+    def resume(run_id: str, wish: Annotated[ResumeRun, Depends(body_of(ResumeRun))]) -> Response:
+        runs.resume(run_id, wish.further)
+        return reply(state_of(runs, run_id), 202)
+
+    @router.post("/{run_id}/show", responses=gives(RunState), summary="Let the viewer show this run")
+    def show(run_id: str) -> Response:
+        runs.show(run_id)
+        return reply(state_of(runs, run_id))
+
+    return router

@@ -1,0 +1,31 @@
+"""GET /api/tasks: what can be run, with every choice and default."""
+
+import typing
+
+from fastapi import APIRouter, Response
+
+from morph_core.config import Method
+from morph_core.tasks import TASKS, make_task
+from studio.api.fields import fields_of
+from studio.api.messages import TaskInfo, TaskList, gives, reply
+
+
+def task_list() -> TaskList:
+    """Describe all tasks and methods."""
+    tasks = []
+    for name in sorted(TASKS):
+        task = make_task(name)
+        parameters = list(task.design_space.parameters)
+        tasks.append(TaskInfo(name, task.title, fields_of(task), parameters, fields_of(task.config)))
+    return TaskList(tasks, list(typing.get_args(Method)))
+
+
+def tasks_router() -> APIRouter:
+    """Return the routes about tasks."""
+    router = APIRouter(prefix="/api", tags=["tasks"])
+
+    @router.get("/tasks", responses=gives(TaskList), summary="Tasks, methods and settings")
+    def tasks() -> Response:
+        return reply(task_list())
+
+    return router
