@@ -1,0 +1,208 @@
+"""The one thread that writes the scene: it builds what is asked for and plays it in a loop."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import viser
+
+from studio.viewer.figure import Figure
+from studio.viewer.scene import CONTACT_COLOUR, GHOST_COLOUR, Layer, Ruler, camera
+from studio.viewer.take import FRAMES_PER_SECOND, Shot, Take, make_take
+
+SPEEDS = (0.1, 4.0)
+_HOLD = 1.0
+"""Seconds for which the last frame stays before the loop begins again."""
+_IDLE = 0.25
+"""Seconds between two looks for a browser while nobody watches."""
+_CONTACT_RADIUS = 0.012
+"""Of the contact marker, as a share of the scene's longest side."""
+
+log = logging.getLogger(__name__)
+
+
+class Player:
+    """Holds the scene. All methods may be called from any thread; drawing happens in the player's own."""
+
+    def __init__(
+        self, server: viser.ViserServer, *, on_time: Callable[[float, float], None], on_error: Callable[[str], None]
+    ) -> None:
+        """`on_time(seconds, duration)` is told a few times a second what is seen; `on_error` what can't be shown."""
+        self._server = server
+        self._on_time = on_time
+        self._on_error = on_error
+        self._robot = Layer(server, "robot")
+        self._scenery = Layer(server, "scenery")
+        self._ghost = Layer(server, "ghost", opacity=0.4)
+        self._trail = Layer(server, "trail", opacity=0.25)
+        self._contact = Layer(server, "contact")
+        self._ruler = Ruler(server)
+        self._change = threading.Condition()
+        self._shot: Shot | None = None
+        self._take: Take | None = None
+        self._built: Shot | None = None
+        self._framed: tuple[str, tuple[tuple[str, object], ...]] | None = None
+        self._lit: tuple[bool, int] = (False, -1)
+        self._marked: tuple[float, ...] | None = None
+        self._time = 0.0
+        self._sought = False
+        self._playing = True
+        self._looping = True
+        self._speed = 1.0
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="viewer-player", daemon=True)
+        self._thread.start()
+
+    @property
+    def take(self) -> Take | None:
+        """What is on the scene now."""
+        return self._take
+
+    @property
+    def node_names(self) -> list[str]:
+        layers = (self._robot, self._scenery, self._ghost, self._trail, self._contact)
+        return sorted(name for layer in layers for name in layer.node_names)
+
+    @property
+    def playing(self) -> bool:
+        return self._playing
+
+    def show(self, shot: Shot) -> None:
+        """Ask for a shot; the newest one wins."""
+        with self._change:
+            if shot != self._shot:
+                self._shot = shot
+                self._change.notify()
+
+    def play(self, playing: bool) -> None:
+        with self._change:
+            self._playing = playing
+            if playing and self._take and not self._looping and self._time >= self._take.duration:
+                self._time = 0.0
+            self._change.notify()
+
+    def seek(self, seconds: float) -> None:
+        with self._change:
+            self._time, self._sought = max(0.0, seconds), True
+            self._change.notify()
+
+    def set_speed(self, speed: float) -> None:
+        self._speed = min(max(speed, SPEEDS[0]), SPEEDS[1])
+
+    def set_looping(self, looping: bool) -> None:
+        self._looping = looping
+
+    def stop(self) -> None:
+        with self._change:
+            self._stopping = True
+            self._change.notify()
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        before, reported = time.monotonic(), 0.0
+        while not self._stopping:
+            with self._change:
+                changed = self._shot != self._built
+                if not changed and not self._sought:
+                    self._change.wait(1 / FRAMES_PER_SECOND if self._moving() else _IDLE)
+                shot, sought, self._sought = self._shot, self._sought, False
+            now = time.monotonic()
+            elapsed, before = now - before, now
+            try:
+                if shot is not None and shot != self._built:
+                    self._built = shot
+                    self._put_up(make_take(shot))
+                    self._draw()
+                    reported = 0.0
+                elif self._moving() or sought:
+                    if not sought:
+                        self._advance(elapsed)
+                    self._draw()
+                if self._take and (now - reported > 0.2 or sought):
+                    reported = now
+                    self._on_time(min(self._time, self._take.duration), self._take.duration)
+            except Exception as error:  # the thread must outlive a damaged episode or a task that fails to build
+                log.exception("the scene could not be drawn")
+                self._on_error(f"this design can't be shown: {error}")
+
+    def _moving(self) -> bool:
+        return bool(self._playing and self._take and self._take.frames > 1 and self._server.get_clients())
+
+    def _advance(self, elapsed: float) -> None:
+        if self._take is None:
+            return
+        end = self._take.duration + (_HOLD * self._speed if self._looping else 0.0)
+        self._time += min(elapsed, 0.1) * self._speed
+        if self._time > end:
+            self._time = 0.0 if self._looping else self._take.duration
+
+    def _put_up(self, take: Take) -> None:
+        """Replace the scene's content; a design that follows another starts where that one was in its episode."""
+        self._frame(take)
+        self._take = take
+        if self._time > take.duration:
+            self._time = 0.0
+        with self._server.atomic():
+            self._scenery.show(take.scenery)
+            self._robot.show(take.robot, self._instant())
+            self._ghost.show(take.ghost, 0, _plain(take.ghost))
+            self._trail.show(take.trail, 0, _plain(take.trail))
+        self._lit = (False, -1)
+
+    def _frame(self, take: Take) -> None:
+        """Lay the ruler and point the cameras, once for each task and its options."""
+        place = (take.shot.task, take.shot.task_options)
+        if place == self._framed:
+            return
+        self._framed = place
+        self._ruler.show(*take.box)
+        start = self._server.initial_camera
+        position, target = camera(*take.box, start.fov)
+        start.position, start.look_at = position, target
+        for client in self._server.get_clients().values():
+            client.camera.position, client.camera.look_at = position, target
+
+    def _instant(self) -> int:
+        return min(round(self._time * FRAMES_PER_SECOND), self._take.frames - 1) if self._take else 0
+
+    def _draw(self) -> None:
+        take = self._take
+        if take is None:
+            return
+        frame = self._instant()
+        lit = (bool(take.goal_touched[frame]), int(take.touched[frame]))
+        self._robot.pose(frame)
+        if lit != self._lit:
+            self._scenery.paint(take.scenery_colours(frame))
+            self._lit = lit
+        self._mark(take.contact[frame], take)
+
+    def _mark(self, point: np.ndarray, take: Take) -> None:
+        """Put the contact marker at a point (3,), or away if it is NaN."""
+        marked = tuple(point.tolist()) if np.isfinite(point).all() else None
+        if marked == self._marked:
+            return
+        self._marked = marked
+        if marked is None:
+            self._contact.show(None)
+            return
+        radius = _CONTACT_RADIUS * float(np.max(take.box[1] - take.box[0]))
+        self._contact.show(_ball(point, radius))
+
+
+def _ball(centre: np.ndarray, radius: float) -> Figure:
+    return Figure(
+        names=("contact",),
+        kinds=("sphere",),
+        sizes=np.full((1, 3), radius),
+        colours=np.array([CONTACT_COLOUR], np.uint8),
+        meshes=(None,),
+        positions=centre.astype(np.float32).reshape(1, 1, 3),
+        wxyz=np.array([[[1, 0, 0, 0]]], np.float32),
+    )
+
+
+def _plain(figure: Figure | None) -> np.ndarray | None:
+    return np.tile(np.array(GHOST_COLOUR, np.uint8), (len(figure), 1)) if figure else None

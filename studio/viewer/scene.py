@@ -1,0 +1,200 @@
+"""The 3-D scene: instanced primitives in a few layers, whose nodes are named once and reused by every design."""
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+
+from studio.viewer import shapes
+from studio.viewer.figure import Figure, Mesh
+
+GOAL_LIT = (20, 200, 90)
+WALL_LIT = (235, 90, 50)
+CONTACT_COLOUR = (225, 30, 30)
+GHOST_COLOUR = (128, 142, 170)
+_TILT = math.radians(16)
+"""How far the camera leans from straight above, where everything lies in one plane."""
+
+
+@dataclass
+class _Batch:
+    """One instanced node, and which parts of the figure are its instances."""
+
+    handle: viser.BatchedMeshHandle
+    parts: list[int]
+    mesh: Mesh | None = None
+
+
+class Layer:
+    """One figure in the scene. Another figure replaces it under the same node names."""
+
+    def __init__(self, server: viser.ViserServer, name: str, *, opacity: float | None = None) -> None:
+        self._server = server
+        self._name = name
+        self._opacity = opacity
+        self._batches: dict[str, _Batch] = {}
+        self._figure: Figure | None = None
+        self._instant = -1
+
+    @property
+    def node_names(self) -> list[str]:
+        return [batch.handle.name for batch in self._batches.values()]
+
+    def show(self, figure: Figure | None, instant: int = 0, colours: np.ndarray | None = None) -> None:
+        """Draw `figure` at an instant, in its own colours or in `colours` (n, 3) uint8; None draws nothing."""
+        groups = _groups(figure) if figure else {}
+        arrays = {key: _instances(figure, key, parts, instant) for key, parts in groups.items()} if figure else {}
+        painted = colours if colours is not None else figure.colours if figure else np.zeros((0, 3), np.uint8)
+        with self._server.atomic():
+            for key, batch in self._batches.items():
+                batch.handle.visible = key in groups
+                batch.parts = groups.get(key, [])
+            for key, parts in groups.items():
+                self._place(key, parts, figure.meshes[parts[0]] if figure else None, *arrays[key], painted[parts])
+        self._figure, self._instant = figure, instant
+
+    def pose(self, instant: int) -> None:
+        """Move the parts to another instant of the same figure."""
+        figure = self._figure
+        if figure is None or instant == self._instant:
+            return
+        moves = [(b.handle, figure.positions[instant, b.parts], figure.wxyz[instant, b.parts]) for b in self._shown]
+        with self._server.atomic():
+            for handle, positions, wxyz in moves:
+                handle.batched_positions = positions
+                handle.batched_wxyzs = wxyz
+        self._instant = instant
+
+    def paint(self, colours: np.ndarray) -> None:
+        """Give the parts other colours (n, 3) uint8."""
+        for batch in self._shown:
+            batch.handle.batched_colors = colours[batch.parts]
+
+    @property
+    def _shown(self) -> list[_Batch]:
+        return [batch for batch in self._batches.values() if batch.parts]
+
+    def _place(
+        self,
+        key: str,
+        parts: list[int],
+        mesh: Mesh | None,
+        positions: np.ndarray,
+        wxyz: np.ndarray,
+        scales: np.ndarray,
+        colours: np.ndarray,
+    ) -> None:
+        batch = self._batches.get(key)
+        if batch is None:
+            vertices, faces = (mesh.vertices, mesh.faces) if mesh else _unit(key)
+            handle = self._server.scene.add_batched_meshes_simple(
+                f"/{self._name}/{key}", vertices, faces, wxyz, positions, batched_scales=scales, batched_colors=colours,
+                opacity=self._opacity, lod="off", flat_shading=mesh is not None, cast_shadow=False,
+                receive_shadow=False,
+            )  # fmt: skip
+            self._batches[key] = _Batch(handle, parts, mesh)
+            return
+        batch.parts = parts
+        if mesh and batch.mesh and not _same(mesh, batch.mesh):
+            batch.handle.vertices, batch.handle.faces, batch.mesh = mesh.vertices, mesh.faces, mesh
+        batch.handle.batched_positions = positions
+        batch.handle.batched_wxyzs = wxyz
+        batch.handle.batched_scales = scales
+        batch.handle.batched_colors = colours
+
+
+class Ruler:
+    """A grid with its lengths written along two sides, so that metres can be read off."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._labels: list[viser.LabelHandle] = []
+        self._grid: viser.GridHandle | None = None
+
+    def show(self, low: np.ndarray, high: np.ndarray) -> None:
+        """Lay the grid under the box between two corners (3,)."""
+        cell = _round_length(float(np.max(high - low)[()]) / 8)
+        start, end = np.floor(low[:2] / cell) * cell, np.ceil(high[:2] / cell) * cell
+        ticks = [(float(x), start[1], f"{x:g} m") for x in np.arange(start[0], end[0] + cell / 2, cell)]
+        ticks += [(start[0], float(y), f"{y:g} m") for y in np.arange(start[1] + cell, end[1] + cell / 2, cell)]
+        z = float(low[2]) - 0.02 * cell
+        self._grid = self._server.scene.add_grid(
+            "/ruler/grid", float(end[0] - start[0]), float(end[1] - start[1]), cell_size=cell, section_size=cell,
+            cell_color=(150, 155, 165), section_color=(150, 155, 165), cell_thickness=0.5, section_thickness=0.5,
+            shadow_opacity=0.0, fade_strength=0.0, position=(*((start + end) / 2), z),
+        )  # fmt: skip
+        for i, (x, y, text) in enumerate(ticks):
+            if i == len(self._labels):
+                self._labels.append(
+                    self._server.scene.add_label(
+                        f"/ruler/{i}", text, font_screen_scale=0.65, anchor="center-center", depth_test=True
+                    )
+                )
+            label = self._labels[i]
+            label.text, label.position, label.visible = text, np.array((x, y, z)), True
+        for label in self._labels[len(ticks) :]:
+            label.visible = False
+
+
+def camera(low: np.ndarray, high: np.ndarray, fov: float, aspect: float = 0.9) -> tuple[np.ndarray, np.ndarray]:
+    """Return position (3,) and target (3,) of a camera that frames the box: from above if flat, else from the side.
+
+    `fov` is the vertical one in radians; `aspect` is width / height of the free part of the page.
+    """
+    centre, size = (low + high) / 2, np.maximum(high - low, 1e-3)
+    if size[2] < 0.25 * min(size[0], size[1]):
+        distance = max(size[1], size[0] / aspect) / 2 / math.tan(fov / 2) * 1.06
+        direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)])
+    else:
+        distance = float(np.linalg.norm(size)) / 2 / math.tan(fov / 2) / min(1.0, aspect)
+        direction = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])
+    return centre + distance * direction, centre
+
+
+def _groups(figure: Figure) -> dict[str, list[int]]:
+    """Return the parts by the node that draws them: one for each kind, aspect of capsule, and mesh."""
+    groups: dict[str, list[int]] = defaultdict(list)
+    unique: list[Mesh] = []
+    for i, (kind, size, mesh) in enumerate(zip(figure.kinds, figure.sizes, figure.meshes, strict=True)):
+        if mesh is not None:
+            known = next((k for k, other in enumerate(unique) if _same(mesh, other)), None)
+            if known is None:
+                known = len(unique)
+                unique.append(mesh)
+            groups[f"mesh_{known}"].append(i)
+        elif kind == "capsule":
+            groups[f"capsule_{shapes.capsule_bucket(size[0], size[2])}"].append(i)
+        else:
+            groups[kind].append(i)
+    return dict(groups)
+
+
+def _instances(figure: Figure, key: str, parts: list[int], instant: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return positions (k, 3), wxyz (k, 4) and scales (k, 3) of the parts that node `key` draws."""
+    scales = figure.sizes[parts].astype(np.float32)
+    if key.startswith("capsule_"):
+        unit = 1 + shapes.capsule_half_length(int(key.removeprefix("capsule_")))
+        scales[:, 2] = (scales[:, 2] + scales[:, 0]) / unit
+    return figure.positions[instant, parts], figure.wxyz[instant, parts], scales
+
+
+def _unit(key: str) -> shapes.Shape:
+    if key.startswith("capsule_"):
+        return shapes.capsule(int(key.removeprefix("capsule_")))
+    return {"box": shapes.box, "cylinder": shapes.cylinder, "sphere": shapes.sphere}[key]()
+
+
+def _same(one: Mesh, other: Mesh) -> bool:
+    return one is other or (
+        np.array_equal(one.faces, other.faces)
+        and one.vertices.shape == other.vertices.shape
+        and np.allclose(one.vertices, other.vertices, atol=1e-6)
+    )
+
+
+def _round_length(length: float) -> float:
+    """Return the nearest of 1, 2 and 5 times a power of ten that is not shorter."""
+    power = 10.0 ** math.floor(math.log10(max(length, 1e-6)))
+    return next(power * step for step in (1, 2, 5, 10) if power * step >= length * 0.999)

@@ -1,0 +1,183 @@
+"""The timeline: which design is seen, and how its episode is played."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import viser
+
+from morph_core.history import History
+from studio.viewer import wording
+from studio.viewer.player import SPEEDS, Player
+
+_TRAIL = 6
+"""Earlier designs shown at once."""
+
+
+class TimelinePanel:
+    """Chooses an iteration of the run and drives the player."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        player: Player,
+        *,
+        on_choice: Callable[[], None],
+        on_inject: Callable[[Callable[[], list[float]], viser.ClientHandle | None], None],
+        on_refusal: Callable[[str, viser.ClientHandle | None], None],
+    ) -> None:
+        """`on_choice`: another design is to be seen. `on_inject`: the run is to continue from what is seen."""
+        self._player = player
+        self._on_choice = on_choice
+        self._on_refusal = on_refusal
+        self._recorded: list[int] = []
+        self._latest = 0
+        self._history: History | None = None
+        self.panel = gui.add_panel()
+        with self.panel.add_tab("Playback", viser.Icon.PLAYER_PLAY):
+            self.what = gui.add_html("")
+            self.follow = gui.add_checkbox("follow latest", True, hint="Show each new design as it comes (F)")
+            self.iteration = gui.add_slider(
+                "iteration", 0, 1, 1, 0, hint="The design of this iteration; 0 is the initial one"
+            )
+            self.recorded = gui.add_button_group(
+                "episodes", ("first", "back", "on", "last"), hint="Only iterations with a recorded episode"
+            )
+            self.play = gui.add_button("Pause playback", icon=viser.Icon.PLAYER_PAUSE, hint="Space or K")
+            self.time = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
+            self.speed = gui.add_slider("speed [×]", *SPEEDS, 0.1, 1.0)
+            self.loop = gui.add_checkbox("loop", True)
+            self.ghost = gui.add_checkbox("initial design as ghost", True)
+            self.trail = gui.add_checkbox("earlier designs", False)
+            self.inject = gui.add_button(
+                "Continue from this design", icon=viser.Icon.GIT_BRANCH,
+                hint="The running run takes this φ as its design from the next iteration on",
+            )  # fmt: skip
+        self.follow.on_update(lambda event: self._choose(event.client) if event.client else None)
+        self.iteration.on_update(lambda event: self._pick(event.client) if event.client else None)
+        self.recorded.on_click(lambda event: self._jump(event.target.value))
+        self.play.on_click(lambda _: self.toggle_playback())
+        self.time.on_update(lambda event: self._scrub(event.client) if event.client else None)
+        self.speed.on_update(lambda event: self._set_speed(event.client) if event.client else None)
+        self.loop.on_update(lambda _: player.set_looping(self.loop.value))
+        self.ghost.on_update(lambda _: on_choice())
+        self.trail.on_update(lambda _: on_choice())
+        self.inject.on_click(lambda event: on_inject(self._chosen_phi, event.client))
+
+    @property
+    def shown_iteration(self) -> int:
+        """The iteration whose design is to be seen: the latest one with an episode, or the chosen one."""
+        if self.follow.value:
+            return self._recorded[-1] if self._recorded else self._latest
+        return self.iteration.value
+
+    @property
+    def has_episode(self) -> bool:
+        return self.shown_iteration in self._recorded
+
+    def update(self, history: History, *, live: bool) -> None:
+        """Take in what a run has recorded."""
+        if self._history is None or history.record.id != self._history.record.id:
+            self.follow.value = True
+        self._history = history
+        self._latest = history.iteration
+        self._recorded = [e.iteration for e in history.evaluations if e.rollout]
+        self.iteration.max = max(self._latest, 1)
+        for handle in (self.follow, self.iteration, self.recorded):
+            handle.visible = True
+        if self.follow.value or self.iteration.value > self.iteration.max:
+            self.iteration.value = min(self.shown_iteration, self.iteration.max)
+        self.inject.visible = live and not self.follow.value
+        self.what.content = wording.paragraph(self._what())
+
+    def clear(self, sentence: str) -> None:
+        """Show no run."""
+        self._history, self._recorded, self._latest = None, [], 0
+        for handle in (self.follow, self.iteration, self.recorded, self.inject):
+            handle.visible = False
+        self.what.content = wording.paragraph(wording.text(sentence))
+
+    def earlier(self, history: History) -> list[tuple[float, ...]]:
+        """Return some of the designs before the shown one, if they are wanted."""
+        if not self.trail.value:
+            return []
+        before = [tuple(p.phi) for p in history.progress if p.iteration < self.shown_iteration]
+        step = max(1, math.ceil(len(before) / _TRAIL))
+        return before[::step]
+
+    def show_time(self, seconds: float, duration: float) -> None:
+        """Move the scrub slider along."""
+        self.time.max = max(round(duration, 2), 0.01)
+        self.time.value = round(seconds, 2)
+        self.time.disabled = duration == 0
+
+    def toggle_playback(self) -> None:
+        playing = not self._player.playing
+        self._player.play(playing)
+        self.play.label = "Pause playback" if playing else "Play"
+        self.play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
+
+    def toggle_follow(self) -> None:
+        self.follow.value = not self.follow.value
+        self._on_choice()
+
+    def _what(self) -> str:
+        if self._history is None:
+            return ""
+        shown = self.shown_iteration
+        if shown == 0:
+            return "initial design, in its start posture" if not self.has_episode else "initial design"
+        if self.has_episode:
+            return f"design of iteration {shown}, playing its episode on Hw-Phy"
+        nearest = min(self._recorded, key=lambda i: abs(i - shown), default=None)
+        hint = f" (the nearest one is of iteration {nearest})" if nearest is not None else " yet"
+        return f"design of iteration {shown}, in its start posture: no episode was recorded{hint}"
+
+    def _choose(self, client: viser.ClientHandle | None) -> None:
+        del client
+        self._on_choice()
+
+    def _pick(self, client: viser.ClientHandle | None) -> None:
+        value = self.iteration.value
+        if not 0 <= value <= self._latest:
+            self._on_refusal(f"there is no iteration {value}; choose 0 to {self._latest}", client)
+            self.iteration.value = min(self.shown_iteration if self.follow.value else 0, int(self.iteration.max))
+            return
+        self.follow.value = False
+        self._on_choice()
+
+    def _jump(self, where: str) -> None:
+        steps: dict[str, Callable[[Sequence[int], int], int]] = {
+            "first": lambda recorded, _: recorded[0],
+            "back": lambda recorded, here: max((i for i in recorded if i < here), default=recorded[0]),
+            "on": lambda recorded, here: min((i for i in recorded if i > here), default=recorded[-1]),
+            "last": lambda recorded, _: recorded[-1],
+        }
+        if not self._recorded or where not in steps:
+            return
+        goal = steps[where](self._recorded, self.shown_iteration)
+        self.follow.value = False
+        self.iteration.value = goal
+        self._on_choice()
+
+    def _scrub(self, client: viser.ClientHandle | None) -> None:
+        value = self.time.value
+        if not 0 <= value <= self.time.max:
+            self._on_refusal(f"the time must lie inside [0, {self.time.max:g}] s, not {value:g}", client)
+            return
+        if self._player.playing:
+            self.toggle_playback()
+        self._player.seek(value)
+
+    def _set_speed(self, client: viser.ClientHandle | None) -> None:
+        value = self.speed.value
+        if not SPEEDS[0] <= value <= SPEEDS[1]:
+            self._on_refusal(f"the speed must lie inside [{SPEEDS[0]:g}, {SPEEDS[1]:g}] ×, not {value:g}", client)
+            self.speed.value = 1.0
+            value = 1.0
+        self._player.set_speed(value)
+
+    def _chosen_phi(self) -> list[float]:
+        if self._history is None:
+            raise ValueError("there is no design to continue from")
+        _, phi = self._history.design(str(self.shown_iteration))
+        return [float(value) for value in self._history.design_space.check(self._history.design_space.clip(phi))]

@@ -1,0 +1,281 @@
+"""The viewer: one page of panels round the scene. It shows runs, and asks for what people want by callbacks."""
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+import viser
+
+from morph_core.history import History
+from morph_core.protocol import AnyCommand, InjectDesign, Status
+from morph_core.tasks import make_task
+from studio.viewer import wording
+from studio.viewer.design import DesignPanel
+from studio.viewer.export import ExportPanel
+from studio.viewer.player import Player
+from studio.viewer.run import ENDED, RunPanel
+from studio.viewer.start import StartPanel, StartRequest
+from studio.viewer.take import Shot
+from studio.viewer.timeline import TimelinePanel
+from studio.viewer.traces import TracesPanel
+
+NEW_RUN = "+ new run"
+_START_PATIENCE = 15.0
+"""Seconds after which a started run that never showed up is reported."""
+
+log = logging.getLogger(__name__)
+
+
+class Viewer:
+    """Builds its panels once on a viser server; `show` is then called a few times a second with fresh histories.
+
+    `on_command(run_id, command)`, `on_start(request)` -> run id, `on_resume(run_id)` and
+    `on_export(run_id, which)` -> (file name, zip) refuse by ValueError with a sentence, which is shown.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        *,
+        on_command: Callable[[str, AnyCommand], None],
+        on_start: Callable[[StartRequest], str],
+        on_resume: Callable[[str], None],
+        on_export: Callable[[str, str], tuple[str, bytes]],
+    ) -> None:
+        self._server = server
+        self._on_command = on_command
+        self._on_start = on_start
+        self._on_resume = on_resume
+        self._on_export = on_export
+        self._lock = threading.RLock()
+        self._histories: Mapping[str, History] = {}
+        self._statuses: Mapping[str, tuple[Status, str]] = {}
+        self._suggested: str | None = None
+        self._selected: str | None = None
+        self._awaited_since = 0.0
+        self._labels: dict[str, str] = {}
+        self._pending: dict[str, list[tuple[AnyCommand, int]]] = {}
+        gui = server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(47, 127, 209))
+        gui.set_panel_label("MORPH Studio")
+        server.scene.configure_default_lights(cast_shadow=False)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(360)
+        self.chooser = gui.add_dropdown("run", [NEW_RUN], hint="Every run in the runs folder, newest first")
+        self.notice = gui.add_html("", visible=False)
+        self.start = StartPanel(gui, on_start=self._start, on_preview=self._refresh)
+        self.tabs = gui.add_tab_group()
+        with self.tabs.add_tab("Run", viser.Icon.ACTIVITY):
+            self.run = RunPanel(gui, send=self._send, on_resume=self._resume)
+        with self.tabs.add_tab("Design", viser.Icon.RULER_2):
+            self.design = DesignPanel(gui, send=self._send)
+        with self.tabs.add_tab("Export", viser.Icon.DOWNLOAD):
+            self.export = ExportPanel(gui, on_download=self._download)
+        self.traces = TracesPanel(gui)
+        self.player = Player(server, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
+        self.timeline = TimelinePanel(
+            gui, self.player, on_choice=self._refresh, on_inject=self._inject, on_refusal=self.refuse
+        )
+        self.timeline.panel.dock_below(gui.main_panel)
+        self._add_commands(gui)
+        self.chooser.on_update(lambda event: self._choose(event.client) if event.client else None)
+        self._refresh()
+
+    @property
+    def selected(self) -> str | None:
+        """The run on screen; None while the start panel is."""
+        return self._selected
+
+    def show(
+        self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
+    ) -> None:
+        """Show the runs as they are now; `current` is opened whenever it changes."""
+        with self._lock:
+            self._histories, self._statuses = dict(histories), dict(statuses)
+            if current != self._suggested:
+                self._suggested = current
+                if current is not None:
+                    self._selected = current
+            self._settle_pending()
+            self._refresh()
+
+    def select(self, run_id: str | None) -> None:
+        """Open a run, or the start panel."""
+        with self._lock:
+            self._selected = run_id
+            self._awaited_since = time.monotonic()
+            self.tell(None)
+            self._refresh()
+
+    def refuse(self, sentence: str, client: viser.ClientHandle | None) -> None:
+        """Say why something was not done: to the one who asked, and above the panels."""
+        self.tell(sentence)
+        if client is not None:
+            client.add_notification("Not done", sentence, color="red", auto_close_seconds=10.0)
+
+    def tell(self, sentence: str | None) -> None:
+        """Show a sentence above the panels, or none."""
+        self.notice.visible = sentence is not None
+        self.notice.content = wording.alert(sentence) if sentence else ""
+
+    def stop(self) -> None:
+        """End the viewer's thread; the server is its owner's to stop."""
+        self.player.stop()
+
+    # --- what people ask for ---
+
+    def _send(self, commands: Callable[[], Sequence[AnyCommand]], client: viser.ClientHandle | None) -> None:
+        run_id = self._selected
+        if run_id is None:
+            self.refuse("there is no run to steer: start or choose one", client)
+            return
+        history = self._histories.get(run_id)
+        answered = len(history.acknowledged) if history else 0
+        try:
+            wanted = commands()  # all are checked before the first one leaves
+            for command in wanted:
+                self._on_command(run_id, command)
+                with self._lock:
+                    self._pending.setdefault(run_id, []).append((command, answered))
+        except ValueError as error:
+            self.refuse(str(error), client)
+            return
+        self.tell(None if wanted else "nothing was changed: nothing to apply")
+        self._refresh()
+
+    def _start(self, request: StartRequest, client: viser.ClientHandle | None) -> None:
+        del client
+        self.select(self._on_start(request))
+
+    def _resume(self, client: viser.ClientHandle | None) -> None:
+        run_id = self._selected
+        if run_id is None:
+            return
+        try:
+            self._on_resume(run_id)
+        except ValueError as error:
+            self.refuse(str(error), client)
+        else:
+            self.tell(None)
+
+    def _inject(self, phi: Callable[[], list[float]], client: viser.ClientHandle | None) -> None:
+        self._send(lambda: [InjectDesign(phi())], client)
+
+    def _download(self, which: str, client: viser.ClientHandle | None) -> None:
+        run_id = self._selected
+        if run_id is None:
+            raise ValueError("there is no run to export from: start or choose one")
+        name, content = self._on_export(run_id, which)
+        if client is not None:
+            client.send_file_download(name, content, save_immediately=True)
+
+    def _choose(self, client: viser.ClientHandle | None) -> None:
+        chosen = self.chooser.value
+        known = {label: run_id for run_id, label in self._labels.items()}
+        if chosen != NEW_RUN and chosen not in known:
+            self.refuse(f'unknown run "{chosen}"; choose one of the list', client)
+            return
+        self.select(None if chosen == NEW_RUN else known[chosen])
+
+    def _add_commands(self, gui: viser.GuiApi) -> None:
+        run = gui.add_command("Pause or resume the run", hotkey="P", icon=viser.Icon.PLAYER_PAUSE)
+        run.on_trigger(lambda event: self.run.toggle(event.client) if self._selected else None)
+        for hotkey in ("space", "K"):
+            playback = gui.add_command("Play or pause the episode", hotkey=hotkey, icon=viser.Icon.PLAYER_PLAY)
+            playback.on_trigger(lambda _: self.timeline.toggle_playback())
+        follow = gui.add_command("Follow the latest design", hotkey="F", icon=viser.Icon.PLAYER_TRACK_NEXT)
+        follow.on_trigger(lambda _: self.timeline.toggle_follow())
+
+    # --- what is shown ---
+
+    def _refresh(self) -> None:
+        """Bring every panel up to date with the selected run."""
+        with self._lock:
+            run_id = self._selected
+            self._list_runs()
+            history = self._histories.get(run_id) if run_id else None
+            self.start.folder.visible = run_id is None
+            self.tabs.visible = run_id is not None
+            if run_id is None or history is None:
+                self._show_nothing(run_id)
+                return
+            status, message = self._statuses.get(run_id, (history.status, history.message))
+            live = status not in ENDED
+            self.run.show_visible(True)
+            self.run.update(history, status, message, [c for c, _ in self._pending.get(run_id, [])])
+            self.design.update(history, status)
+            self.export.update(history)
+            self.traces.update(history)
+            self.timeline.update(history, live=live)
+            self.player.show(self._shot(history))
+
+    def _show_nothing(self, run_id: str | None) -> None:
+        """Show the start panel, or why a run can't be shown."""
+        self.design.clear()
+        self.export.clear()
+        if run_id is None:
+            self.traces.clear("no data yet: press Start")
+            self.timeline.clear("the initial design, in its start posture")
+            if preview := self.start.preview:
+                self.player.show(_preview(*preview))
+            return
+        status, message = self._statuses.get(run_id, ("starting", "starting…"))
+        if run_id not in self._statuses and time.monotonic() - self._awaited_since > _START_PATIENCE:
+            message = f"{run_id} has not shown up; the studio's log may say why"
+        self.run.show_message(status, message)
+        self.traces.clear(f"{status}: {message}")
+        self.timeline.clear(message)
+
+    def _list_runs(self) -> None:
+        ids = {*self._histories, *self._statuses, *([self._selected] if self._selected else [])}
+        self._labels = {
+            run_id: f"{run_id} · {self._statuses.get(run_id, ('starting', ''))[0]}"
+            for run_id in sorted(ids, reverse=True)
+        }
+        options = (NEW_RUN, *self._labels.values())
+        chosen = self._labels[self._selected] if self._selected else NEW_RUN
+        if tuple(self.chooser.options) != options:
+            self.chooser.options = options
+        self.chooser.value = chosen
+
+    def _shot(self, history: History) -> Shot:
+        shown = self.timeline.shown_iteration
+        with contextlib.suppress(ValueError):
+            shown, phi = history.design(str(shown))
+            initial = tuple(history.initial_phi.tolist())
+            return Shot(
+                task=history.record.task,
+                task_options=tuple(sorted(history.record.task_options.items())),
+                phi=tuple(phi.tolist()),
+                rollout=(history.folder, shown) if self.timeline.has_episode else None,
+                ghost=initial if self.timeline.ghost.value and (shown > 0 or self.timeline.has_episode) else None,
+                trail=tuple(self.timeline.earlier(history)),
+            )
+        return _preview(history.record.task, history.record.task_options)
+
+    def _settle_pending(self) -> None:
+        """Forget commands that were answered, and those nobody will answer any more."""
+        for run_id, pending in self._pending.items():
+            history = self._histories.get(run_id)
+            if history is None:
+                continue
+            open_ones = []
+            answers = [(i, event.command) for i, event in enumerate(history.acknowledged)]
+            for command, asked_at in pending:
+                answer = next(((i, c) for i, c in answers if i >= asked_at and c == command), None)
+                if answer:
+                    answers.remove(answer)
+                else:
+                    open_ones.append((command, asked_at))
+            self._pending[run_id] = open_ones
+
+    def _show_time(self, seconds: float, duration: float) -> None:
+        self.timeline.show_time(seconds, duration)
+
+
+def _preview(task: str, options: Mapping[str, object]) -> Shot:
+    """Return the initial design of a task, for a page without a run."""
+    phi = tuple(make_task(task, options).design_space.initial.tolist())
+    return Shot(task=task, task_options=tuple(sorted(options.items())), phi=phi)
