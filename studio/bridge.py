@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import gzip
 import hmac
+import io
 import logging
 import math
 import secrets
@@ -59,18 +60,25 @@ class GuardedViser:
         # viser offers no hook for this; the version is pinned and tests/studio/test_bridge.py holds it to it.
         websockets.asyncio.server.serve = guarded_serve  # pyright: ignore
         try:
-            self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+            with _silence():
+                self.server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         finally:
             websockets.asyncio.server.serve = serve  # pyright: ignore
         if guarded != ["127.0.0.1"]:
-            self.server.stop()
+            self.stop()
             raise RuntimeError(f"viser {viser.__version__} did not take the guard: refusing to open it")
         self.port = self.server.get_port()
         self.address = f"ws://127.0.0.1:{self.port}{secret.decode()}"
 
     def stop(self) -> None:
         """Close the port and all connections."""
-        self.server.stop()
+        with _silence():
+            self.server.stop()
+
+
+def _silence() -> contextlib.AbstractContextManager[object]:
+    """Keep viser from printing the address of its inner port, which answers nobody, beside the studio's link."""
+    return contextlib.redirect_stdout(io.StringIO())
 
 
 def admit(message: bytes) -> bool:

@@ -220,7 +220,8 @@ class Runs:
 
     def __init__(self, folder: Path, spawn: Callable[..., subprocess.Popen[bytes]] = spawn_trainer) -> None:
         self.folder = folder
-        self._current: str | None = None
+        self.shown: str | None = None
+        """The run on screen; None while the start panel is."""
         self._spawn = spawn
         self._lock = threading.RLock()
         self._histories: dict[str, History] = {}  # least recently used first
@@ -262,11 +263,10 @@ class Runs:
 
     def summaries(self) -> list[Summary]:
         """Return all runs, newest first."""
-        shown = self.shown()
         lines = []
         for run_id in self.ids():
             with contextlib.suppress(RunFolderError):  # removed this very moment
-                lines.append(msgspec.structs.replace(self.summary(run_id), current=run_id == shown))
+                lines.append(msgspec.structs.replace(self.summary(run_id), current=run_id == self.shown))
         return lines
 
     def ids(self) -> list[str]:
@@ -277,7 +277,7 @@ class Runs:
         """Return the runs the viewer may show, newest first: recent, running, and the current one."""
         names = self.ids()
         with self._lock:
-            wanted = {*names[:WATCHED], *self._children, self._current}
+            wanted = {*names[:WATCHED], *self._children, self.shown}
         histories = {}
         for name in names:
             if name in wanted:
@@ -288,15 +288,13 @@ class Runs:
     def show(self, run_id: str) -> None:
         """Let the viewer show this run."""
         self.get(run_id)
-        self._current = run_id
+        self.shown = run_id
 
-    def shown(self) -> str | None:
-        """Return the run the viewer shows: the one chosen or started last, or else the newest that can be read."""
-        for run_id in (self._current, *self.ids()):
+    def show_newest(self) -> None:
+        """Let the viewer show the newest run that can be read, if there is one."""
+        for run_id in self.ids():
             with contextlib.suppress(RunFolderError):
-                if run_id is not None:
-                    self.get(run_id)
-                    return run_id
+                return self.show(run_id)
         return None
 
     # --- acting ---
@@ -306,7 +304,7 @@ class Runs:
         folder = prepare_run(self.folder, **wishes)
         with self._lock:
             self._launch(folder, None)
-        self._current = folder.id
+        self.shown = folder.id
         return folder.id
 
     def resume(self, run_id: str, further: int | None = None) -> None:
@@ -321,7 +319,7 @@ class Runs:
             if status == "finished" and further is None:
                 raise ValueError(f"{run_id} has finished: say how many iterations it shall do further")
             self._launch(history.folder, further)
-        self._current = run_id
+        self.shown = run_id
 
     def send(self, run_id: str, command: AnyCommand) -> int:
         """Put a command into the run's inbox and return its id; ValueError, the run unchanged, if it is no good."""

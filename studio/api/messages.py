@@ -12,6 +12,7 @@ from studio.api.fields import Field
 from studio.runs import MAX_ITERATIONS, Summary
 
 MAX_BODY = 1 << 20
+"""Bytes of a request's body."""
 Number = Annotated[int, msgspec.Meta(ge=1, le=MAX_ITERATIONS)]
 Body = TypeVar("Body")
 
@@ -124,13 +125,8 @@ def body_of(kind: type[Body] | UnionType) -> Callable[[Request], Coroutine[None,
     decoder = msgspec.json.Decoder(kind)
 
     async def decode(request: Request) -> Body:
-        content = bytearray()
-        async for chunk in request.stream():
-            content += chunk
-            if len(content) > MAX_BODY:
-                raise ValueError(f"the body is longer than {MAX_BODY} bytes")
         try:
-            return cast(Body, decoder.decode(bytes(content) or b"{}"))
+            return cast(Body, decoder.decode(await request.body() or b"{}"))
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise ValueError(f"this body can't be used: {error}") from error
 
@@ -148,14 +144,21 @@ _KINDS = (
 _REF = "#/components/schemas/{name}"
 
 
+def _anything(kind: object) -> dict[str, object]:
+    """Return the schema of `object`, which msgspec leaves open."""
+    if kind is not object:
+        raise NotImplementedError(f"{kind} has no schema")
+    return {"description": "Any JSON value; checked by the config and the task"}
+
+
 def schemas() -> dict[str, object]:
     """Return the OpenAPI components of all messages."""
-    return msgspec.json.schema_components(_KINDS, ref_template=_REF)[1]
+    return msgspec.json.schema_components(_KINDS, schema_hook=_anything, ref_template=_REF)[1]
 
 
 def schema(kind: object) -> dict[str, object]:
     """Return the OpenAPI reference to a message."""
-    return msgspec.json.schema_components((kind,), ref_template=_REF)[0][0]
+    return msgspec.json.schema_components((kind,), schema_hook=_anything, ref_template=_REF)[0][0]
 
 
 def takes(kind: object, required: bool = True) -> dict[str, object]:
@@ -177,10 +180,10 @@ def gives_file(media_type: str, description: str) -> dict[int | str, dict[str, o
 REFUSALS: dict[int | str, dict[str, object]] = {
     status: {"description": text, "content": {"application/json": {"schema": schema(Refusal)}}}
     for status, text in {
-        400: "No HTTP request",
         401: "No token",
         403: "Wrong Host or Origin",
         404: "No such run, design or file",
+        413: "A body that is too long",
         422: "A value that is not allowed",
         503: "The disk refuses",
     }.items()

@@ -15,7 +15,7 @@ _ANSWERS_SHOWN = 20
 
 def state_of(runs: Runs, run_id: str) -> RunState:
     """Return one run in full; raise RunFolderError only if there is no such run."""
-    line = {**msgspec.structs.asdict(runs.summary(run_id)), "current": runs.shown() == run_id}
+    line = {**msgspec.structs.asdict(runs.summary(run_id)), "current": runs.shown == run_id}
     try:
         history = runs.get(run_id)
     except RunFolderError:

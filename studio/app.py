@@ -1,0 +1,254 @@
+"""The web application: one FastAPI around the runs, the viewer and the shell page; and the server that runs it."""
+
+import contextlib
+import logging
+import secrets
+import socket
+import sys
+import threading
+import webbrowser
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Protocol
+
+import anyio
+import uvicorn
+import viser
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import FileResponse, JSONResponse
+from fastapi.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+
+from morph_core.history import History
+from morph_core.protocol import AnyCommand, Status
+from morph_core.run_folder import RunFolderError
+from studio.api.designs import designs_router
+from studio.api.docs import docs_router
+from studio.api.events import events_router
+from studio.api.messages import MAX_BODY, Health, gives, reply
+from studio.api.runs import runs_router
+from studio.api.tasks import tasks_router
+from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
+from studio.export.bundle import FORMATS, build_bundle
+from studio.runs import Runs
+from studio.security import Access, Guard
+from studio.settings import Settings
+from studio.viewer import StartRequest, Viewer
+
+SHOW_INTERVAL = 0.2
+"""Seconds between two looks at the runs for the viewer."""
+_log = logging.getLogger(__name__)
+
+
+class Shows(Protocol):
+    """What the application needs of a viewer."""
+
+    @property
+    def selected(self) -> str | None:
+        """The run on screen."""
+        ...
+
+    def show(
+        self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
+    ) -> None: ...
+
+    def stop(self) -> None: ...
+
+
+class _GuardedApp(FastAPI):
+    """The guard stands before everything else, so that error pages pass it too."""
+
+    def build_middleware_stack(self) -> ASGIApp:
+        return Guard(super().build_middleware_stack(), self.state.access)
+
+
+def make_viewer(server: viser.ViserServer, runs: Runs) -> Shows:
+    """Return the studio's viewer, with what its users ask for passed on to the runs."""
+
+    def on_command(run_id: str, command: AnyCommand) -> None:
+        runs.send(run_id, command)
+
+    def on_start(wish: StartRequest) -> str:
+        return runs.start(
+            task=wish.task,
+            method=wish.method,
+            seed=wish.seed,
+            iterations=wish.iterations,
+            settings=wish.settings,
+            task_options=wish.task_options,
+        )
+
+    def on_export(run_id: str, which: str) -> tuple[str, bytes]:
+        return build_bundle(runs.get(run_id), which, FORMATS)
+
+    return Viewer(server, on_command=on_command, on_start=on_start, on_resume=runs.resume, on_export=on_export)
+
+
+def export_bundle(history: History, which: str, formats: list[str] | None) -> tuple[str, bytes]:
+    """Return the zip of a design, in all formats unless some are named."""
+    return build_bundle(history, which, formats or FORMATS)
+
+
+def create_app(
+    settings: Settings,
+    *,
+    runs: Runs | None = None,
+    viewer: Callable[[viser.ViserServer, Runs], Shows] = make_viewer,
+) -> FastAPI:
+    """Return the application; `app.state` holds `access`, `runs` and, while it runs, `viser`."""
+    watched = runs or Runs(settings.runs)
+    stopping, boot = anyio.Event(), secrets.token_hex(8)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        watched.show_newest()
+        with contextlib.ExitStack() as ends:
+            app.state.viser = GuardedViser()
+            ends.callback(app.state.viser.stop)
+            shown, done = viewer(app.state.viser.server, watched), threading.Event()
+            ends.callback(shown.stop)
+            painter = threading.Thread(target=keep_showing, args=(shown, watched, done), name="viewer", daemon=True)
+            painter.start()
+            ends.callback(painter.join, 2.0)
+            ends.callback(done.set)
+            yield
+            stopping.set()
+
+    app = _GuardedApp(
+        title="MORPH Studio",
+        description="Start, watch, steer and export runs that co-optimise a robot's body and its controller.",
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
+        openapi_url=None,
+        max_body_size=MAX_BODY,
+        telemetry={"tracing": False, "metrics": False, "logs": False},  # would carry the link's token elsewhere
+    )
+    app.state.access = Access(settings)
+    app.state.runs = watched
+    for router in (
+        tasks_router(),
+        runs_router(watched),
+        designs_router(watched, export_bundle),
+        events_router(watched, stopping),
+        viewer_router(),
+        docs_router(),
+    ):
+        app.include_router(router)
+    _add_pages(app, boot)
+    _add_refusals(app)
+    return app
+
+
+def keep_showing(viewer: Shows, runs: Runs, done: threading.Event) -> None:
+    """Hand the runs to the viewer until `done`, whatever it makes of them."""
+    while not done.wait(SHOW_INTERVAL):
+        with _logged("showing the runs"):
+            histories, shown = runs.watched(), runs.shown
+            viewer.show(histories, {name: runs.status(history) for name, history in histories.items()}, shown)
+            if viewer.selected != shown and runs.shown == shown:  # someone chose another run in the viewer itself
+                runs.shown = viewer.selected
+
+
+@contextlib.contextmanager
+def _logged(doing: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception:
+        _log.exception("%s failed", doing)
+
+
+def _add_pages(app: FastAPI, boot: str) -> None:
+    pages = Path(str(files("studio") / "page"))
+
+    @app.get("/", include_in_schema=False)
+    def shell() -> Response:
+        return FileResponse(pages / "index.html")
+
+    @app.get("/healthz", responses=gives(Health), tags=["health"], summary="Whether the server is up; needs no token")
+    async def healthz() -> Response:
+        return reply(Health("ok", boot))
+
+    app.mount("/page", StaticFiles(directory=pages))
+
+
+def _add_refusals(app: FastAPI) -> None:
+    """Answer what is asked wrongly with a sentence, and what the disk refuses without a traceback."""
+
+    def refuse(status: int) -> Callable[[Request, Exception], Response]:
+        return lambda _, error: JSONResponse({"detail": str(error)}, status)
+
+    def refuse_parameters(_: Request, error: Exception) -> Response:
+        assert isinstance(error, RequestValidationError)
+        reasons = [f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors()]
+        return JSONResponse({"detail": "; ".join(reasons)}, 422)
+
+    app.add_exception_handler(RunFolderError, refuse(404))
+    app.add_exception_handler(ValueError, refuse(422))
+    app.add_exception_handler(RequestValidationError, refuse_parameters)
+    app.add_exception_handler(OSError, refuse(503))
+
+
+class _Server(uvicorn.Server):
+    """Says that it is up only once it is."""
+
+    def __init__(self, config: uvicorn.Config, on_started: Callable[[], None]) -> None:
+        super().__init__(config)
+        self.on_started = on_started
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            self.on_started()
+
+
+def serve(settings: Settings) -> None:
+    """Serve until SIGINT or SIGTERM; runs go on. SystemExit(1) with a sentence if the port is taken."""
+    try:
+        listener = _listen(settings.host, settings.port)
+    except OSError as error:
+        print(f"can't listen on {settings.host}:{settings.port}: {error.strerror or error}", file=sys.stderr)  # noqa: T201
+        raise SystemExit(1) from None
+    app = create_app(settings)
+    access: Access = app.state.access
+    name = f"[{settings.host}]" if ":" in settings.host else settings.host
+    address = f"http://{name}:{listener.getsockname()[1]}/"
+
+    def announce() -> None:
+        link = f"{address}?token={access.ticket}"
+        # A given token stays out of a platform's logs; its owner knows it.
+        shown = link if settings.is_loopback else f"{address}?token=..."
+        print(f"MORPH Studio: {shown}", flush=True)  # noqa: T201
+        if settings.open_browser:
+            threading.Thread(target=webbrowser.open, args=(link,), daemon=True).start()
+
+    access.on_ticket_used = lambda: print(  # noqa: T201
+        f"link used; for another browser: {address}?token={access.ticket}", flush=True
+    )
+    config = uvicorn.Config(
+        app,
+        log_level="warning",
+        access_log=False,
+        workers=1,
+        ws_per_message_deflate=False,
+        ws_max_size=MAX_MESSAGE,
+        timeout_graceful_shutdown=2,
+    )
+    with contextlib.suppress(KeyboardInterrupt):
+        _Server(config, announce).run(sockets=[listener])
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens on the port; OSError if it is taken, never another port."""
+    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    listener = socket.socket(family, kind, protocol)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(128)
+    except OSError:
+        listener.close()
+        raise
+    return listener
