@@ -54,7 +54,7 @@ def start(task: Task, config: Config, seed: int, design_space: DesignSpace | Non
     policy, critic, proxy = (kind(task, config, weights) for kind in (Policy, Critic, Proxy))
     learner = Learner(
         policy, critic, proxy,
-        torch.optim.Adam([*policy.parameters(), *critic.parameters()], config.learning_rate),
-        torch.optim.Adam(proxy.parameters(), config.proxy_learning_rate),
+        torch.optim.Adam([*policy.parameters(), *critic.parameters()], config.learning_rate, fused=True),
+        torch.optim.Adam(proxy.parameters(), config.proxy_learning_rate, fused=True),
     )  # fmt: skip
     return State(0, 0, space.initial, space, config.alpha, config.projection, learner, np.random.default_rng(seed))

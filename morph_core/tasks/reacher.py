@@ -153,7 +153,7 @@ class Reacher:
     """rad: largest change of a joint angle per control step."""
     start_noise: float = 0.05
     """rad: standard deviation of each joint angle at the start."""
-    sweep_substeps: int = 8
+    sweep_substeps: int = 12
     """Postures tested for collision along the move of each joint."""
     distance_weight: float = 1.0
     """Reward per metre between tip and goal (enters with a minus)."""
@@ -283,7 +283,7 @@ class Reacher:
         n = self.sweep_substeps
         points = arm.outline(q)  # (N, 6, 2)
         done = np.ones_like(q)  # share of each joint's move
-        contact = np.full((len(q), 3), np.nan)
+        touching = np.full_like(points, np.nan)  # the last posture that a wall refused
         for j in reversed(range(LINKS)):
             pivot = points[:, j]
             arms = points[:, j + 1 :] - pivot[:, None]  # what turns about joint j
@@ -293,18 +293,24 @@ class Reacher:
             steps = np.logical_and.accumulate(self.walls.depth(swept) < TOLERANCE, 0).sum(0)
             done[near, j] = steps / n
             stopped = (steps < n).nonzero()[0]
-            contact[near[stopped], :2] = self.walls.deepest(swept[steps[stopped], stopped])
-            contact[near[stopped], 2] = 0.0
+            touching[near[stopped], :j] = points[near[stopped], :j]
+            touching[near[stopped], j:] = swept[steps[stopped], stopped]
             points[:, j:] = _turn(pivot, arms, done[:, j] * wish[:, j])
-        return done * wish, 1 - done.mean(1), contact
+        return done * wish, 1 - done.mean(1), self._contact(touching)
 
     def _stop_at_end(self, hardware: Hardware, s: np.ndarray, wish: np.ndarray) -> tuple[np.ndarray, ...]:
         """Refuse moves that would end inside a wall: all that a hardware known only by its z can tell."""
         outline = self._outline(hardware, s, wish)
         refused = self.walls.depth(outline) > TOLERANCE
-        contact = np.full((len(s), 3), np.nan)
-        contact[refused] = np.pad(self.walls.deepest(outline[refused]), ((0, 0), (0, 1)))
+        contact = self._contact(np.where(refused[:, None, None], outline, np.nan))
         return np.where(refused[:, None], 0.0, wish), refused.astype(float), contact
+
+    def _contact(self, touching: np.ndarray) -> np.ndarray:
+        """Return where outlines (N, P, 2) are deepest in a wall: (N, 3) m, NaN for an outline of NaN."""
+        contact = np.full((len(touching), 3), np.nan)
+        hit = np.isfinite(touching[:, 0, 0])
+        contact[hit] = np.pad(self.walls.deepest(touching[hit]), ((0, 0), (0, 1)))
+        return contact
 
     def _outline(self, hardware: Hardware, s: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the points (N, P, 2) that can collide: of the whole arm, or, in the world of a tip, just that."""

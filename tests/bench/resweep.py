@@ -1,0 +1,70 @@
+"""How honest the reacher's sweep is: re-sweep what trained policies executed, ten times finer.
+
+`python tests/bench/resweep.py CHECKPOINTS...` with the folders that `study.py --checkpoints` wrote.
+"""
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+
+from morph_core.checkpoint import load_checkpoint
+from morph_core.episodes import evaluate
+from morph_core.rollout import Rollout
+from morph_core.run_folder import RunFolder
+from morph_core.tasks.reacher import LINKS, Reacher
+
+FINER = 10
+
+
+@dataclass(frozen=True)
+class Resweep:
+    """Which policies to test."""
+
+    checkpoints: tyro.conf.Positional[tuple[Path, ...]]
+    episodes: int = 256
+
+
+def deepest_penetration(task: Reacher, phi: np.ndarray, rollout: Rollout) -> float:
+    """Return the largest depth (m) of any link in a wall along the executed moves, in fine steps."""
+    parts = np.arange(1, FINER * task.sweep_substeps + 1)[:, None] / (FINER * task.sweep_substeps)
+    arm = task.hw_phy(phi)
+    worst = -np.inf
+    for s, a in zip(rollout.s[rollout.alive], rollout.a[rollout.alive], strict=True):
+        q = s[:LINKS].copy()
+        for j in reversed(range(LINKS)):
+            postures = np.repeat(q[None], len(parts), 0)
+            postures[:, j] += parts[:, 0] * a[j]
+            worst = max(worst, float(task.walls.depth(arm.outline(postures)).max()))
+            q[j] += a[j]
+    return worst
+
+
+def main(options: Resweep) -> None:
+    torch.set_num_threads(1)
+    task = Reacher()
+    finer = replace(task, sweep_substeps=FINER * task.sweep_substeps)
+    print("policy | success | with the finer sweep | deepest link in a wall (m), over 32 episodes")
+    for path in options.checkpoints:
+        folder = RunFolder(path)
+        state, _ = load_checkpoint(folder, folder.checkpoint_iterations()[-1], task, task.config)
+        success = {}
+        for sampled in (True, False):
+            for world in (task, finer):
+                rng = np.random.default_rng(1)
+                score, _ = evaluate(world, state.learner.policy, state.phi, options.episodes, rng, sampled)
+                success[sampled, world.sweep_substeps] = score.success
+        _, rollout = evaluate(task, state.learner.policy, state.phi, 32, np.random.default_rng(2), sampled=True)
+        print(
+            f"{path.name} | sampled {success[True, task.sweep_substeps]:.3f} det {success[False, task.sweep_substeps]:.3f}"
+            f" | sampled {success[True, finer.sweep_substeps]:.3f} det {success[False, finer.sweep_substeps]:.3f}"
+            f" | {deepest_penetration(task, state.phi, rollout):.3f}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Resweep, description=__doc__)))

@@ -1,0 +1,153 @@
+"""Seeds of a method on a task, measured on Hw-Phy: `python tests/bench/study.py --help`. Prints rows as they come.
+
+Each row says when the sampled policy first succeeded in 95 % (and the deterministic one in 80 %) of the episodes with
+the present phi, in environment steps and CPU seconds of one core, and where the run stood at the end of its budget.
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+
+from morph_core.checkpoint import save_checkpoint
+from morph_core.config import Method, config_from
+from morph_core.episodes import evaluate
+from morph_core.protocol import Progress
+from morph_core.run_folder import RunFolder
+from morph_core.state import start
+from morph_core.tasks import make_task
+from morph_core.train import METHODS
+
+FINAL_EPISODES = 256
+
+
+@dataclass(frozen=True)
+class Study:
+    """Which runs to make."""
+
+    task: str = "reacher"
+    method: Method = "morph"
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    env_steps: float = 0.7e6
+    """Budget per run."""
+    set: dict[str, str] = field(default_factory=dict)
+    """Config fields, such as --set projection one_sided alpha 2."""
+    option: dict[str, str] = field(default_factory=dict)
+    """Task options, such as --option tunnel paper."""
+    out: Path | None = None
+    """Append each row to this file as a line of JSON."""
+    checkpoints: Path | None = None
+    """Keep the last state of each run as a checkpoint below this folder."""
+
+
+@dataclass
+class Row:
+    """What one run came to."""
+
+    method: str
+    settings: dict[str, Any]
+    seed: int
+    env_steps: int = 0
+    cpu_seconds: float = 0.0
+    sampled_95: tuple[int, float] | None = None
+    """(environment steps, CPU seconds) at the first evaluation with sampled success >= .95."""
+    deterministic_80: tuple[int, float] | None = None
+    sampled: float = 0.0
+    """Success over the final episodes."""
+    deterministic: float = 0.0
+    episode_return: float = 0.0
+    phi: list[float] = field(default_factory=list)
+    negative: float | None = None
+    """Mean share of gradient steps with a negative cosine."""
+    first_divergence: float | None = None
+    last_divergence: float | None = None
+
+
+def run_one(study: Study, settings: dict[str, Any], options: dict[str, Any], seed: int) -> Row:
+    """Train one seed within the budget."""
+    task = make_task(study.task, options)
+    config = config_from(settings, task.config)
+    row = Row(study.method, {**settings, **options}, seed)
+    began = time.process_time()
+    state = start(task, config, seed)
+    iterate: Callable[..., Iterator[Progress]] = METHODS[study.method]
+    history: list[Progress] = []
+    for progress in iterate(task, config, state):
+        history.append(progress)
+        if progress.iteration % config.evaluation_interval == 0:
+            rng = np.random.default_rng([seed, progress.iteration])
+            policy, episodes = state.learner.policy, config.evaluation_episodes
+            sampled, _ = evaluate(task, policy, state.phi, episodes, rng, sampled=True)
+            mean, _ = evaluate(task, policy, state.phi, episodes, rng, sampled=False)
+            reached = (state.env_steps, time.process_time() - began)
+            if sampled.success >= 0.95 and row.sampled_95 is None:
+                row.sampled_95 = reached
+            if mean.success >= 0.8 and row.deterministic_80 is None:
+                row.deterministic_80 = reached
+        if progress.env_steps >= study.env_steps:
+            break
+    row.env_steps, row.cpu_seconds = state.env_steps, time.process_time() - began
+    rng = np.random.default_rng([seed, 10**6])
+    last, _ = evaluate(task, state.learner.policy, state.phi, FINAL_EPISODES, rng, sampled=True)
+    row.sampled, row.episode_return, row.phi = last.success, last.episode_return, state.phi.tolist()
+    row.deterministic = evaluate(task, state.learner.policy, state.phi, FINAL_EPISODES, rng, sampled=False)[0].success
+    if history[-1].cosine_negative is not None:
+        row.negative = float(np.mean([p.cosine_negative for p in history]))
+        row.first_divergence, row.last_divergence = (
+            float(np.mean([p.divergence for p in part])) for part in (history[:5], history[-5:])
+        )
+    if study.checkpoints:
+        save_checkpoint(RunFolder(study.checkpoints / f"{study.method}-s{seed}"), state, row.cpu_seconds)
+    return row
+
+
+def main(study: Study) -> None:
+    torch.set_num_threads(1)
+    settings = {name: _parse(value) for name, value in study.set.items()}
+    options = {name: _parse(value) for name, value in study.option.items()}
+    rows = []
+    for seed in study.seeds:
+        row = run_one(study, settings, options, seed)
+        rows.append(row)
+        print(_line(row), flush=True)
+        if study.out:
+            with study.out.open("a") as file:
+                file.write(json.dumps(asdict(row)) + "\n")
+    for label, name in (("sampled >= .95", "sampled_95"), ("deterministic >= .80", "deterministic_80")):
+        reached = [getattr(row, name) for row in rows if getattr(row, name)]
+        print(f"{label}: {len(reached)} of {len(rows)} seeds", end="")
+        if reached:
+            steps, cpu = np.median(reached, axis=0)
+            print(f", median {steps / 1e6:.2f} M steps, {cpu:.1f} CPU-s", end="")
+        print()
+
+
+def _line(row: Row) -> str:
+    def when(reached: tuple[int, float] | None) -> str:
+        return f"{reached[0] / 1e6:.2f} M ({reached[1]:.0f} s)" if reached else "never"
+
+    extra = ""
+    if row.negative is not None:
+        extra = f" | negative {row.negative:.2f} D {row.first_divergence:.2f} -> {row.last_divergence:.2f}"
+    return (
+        f"{row.method} {row.settings} s{row.seed}: {row.env_steps / 1e6:.2f} M {row.cpu_seconds:.0f} CPU-s | "
+        f"sampled .95 {when(row.sampled_95)}, det .80 {when(row.deterministic_80)} | end sampled {row.sampled:.2f} "
+        f"det {row.deterministic:.2f} return {row.episode_return:.2f}{extra} | phi {np.round(row.phi, 2).tolist()}"
+    )
+
+
+def _parse(value: str) -> Any:
+    try:
+        return json.loads(value)
+    except json.JSONDecodeError:
+        return value
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Study, description=__doc__))
