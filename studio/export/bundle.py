@@ -39,7 +39,8 @@ def build_bundle(history: History, which: str, formats: Sequence[str] = FORMATS)
     The files are read back and compared with the simulated robot first. Raise ExportError with what disagrees, or
     with what is allowed.
     """
-    name, files = build_files(history, which, formats)
+    name = bundle_name(history, which)
+    files = build_files(history, which, formats)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for path, content in sorted(files.items()):
@@ -47,7 +48,7 @@ def build_bundle(history: History, which: str, formats: Sequence[str] = FORMATS)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, content)
-    return f"{name}.zip", buffer.getvalue()
+    return name, buffer.getvalue()
 
 
 def write_bundle(history: History, which: str, out: Path, formats: Sequence[str] = FORMATS) -> Path:
@@ -61,20 +62,20 @@ def write_bundle(history: History, which: str, out: Path, formats: Sequence[str]
             _replace_file(out, build_bundle(history, which, formats)[1])
         else:
             _check_replaceable(out)
-            _replace_folder(out, build_files(history, which, formats)[1])
+            _replace_folder(out, build_files(history, which, formats))
     except OSError as error:
         raise ExportError(f"can't write {out}: {error.strerror or error}") from error
     return out
 
 
-def build_files(history: History, which: str, formats: Sequence[str] = FORMATS) -> tuple[str, dict[str, bytes]]:
-    """Return a name made of run and design, and the exported files by their path."""
+def build_files(history: History, which: str, formats: Sequence[str] = FORMATS) -> dict[str, bytes]:
+    """Return the exported files by their path."""
     check_formats(formats)
+    iteration, phi = _chosen(history, which)
     try:
-        iteration, phi = history.design(which)
         task = make_task(history.record.task, history.record.task_options)
         phi = _check_phi(history, phi)
-    except (RunFolderError, ValueError, TypeError) as error:
+    except (ValueError, TypeError) as error:
         raise ExportError(str(error)) from error
     robot, scene = task.spec(phi), task.scene(phi)
     try:
@@ -93,8 +94,15 @@ def build_files(history: History, which: str, formats: Sequence[str] = FORMATS) 
     files["README.txt"] = _README.encode()
     provenance = provenance_of(history, iteration, files, [str(check) for check in checks])
     files["provenance.json"] = _json(msgspec.to_builtins(provenance))
+    return files
+
+
+def bundle_name(history: History, which: str) -> str:
+    """Return the name of the zip: run and design, safe as a file name whatever the run is called."""
+    iteration, _ = _chosen(history, which)
     label = f"{iteration:06d}" if which == str(iteration) else f"{which}-{iteration:06d}"
-    return f"{re.sub(r'[^A-Za-z0-9._-]+', '_', history.folder.id)[:100].lstrip('.')}-{label}", files
+    run = re.sub(r"[^A-Za-z0-9._-]+", "_", history.folder.id)[:100].lstrip(".") or "run"
+    return f"{run}-{label}.zip"
 
 
 def check_formats(formats: Sequence[str]) -> None:
@@ -106,6 +114,13 @@ def check_formats(formats: Sequence[str]) -> None:
             raise ExportError(f'unknown format "{name[:40]}"; choose from: {", ".join(FORMATS)}')
     if not formats:
         raise ExportError(f"no format given; choose from: {', '.join(FORMATS)}")
+
+
+def _chosen(history: History, which: str) -> tuple[int, np.ndarray]:
+    try:
+        return history.design(which)
+    except RunFolderError as error:
+        raise ExportError(str(error)) from error
 
 
 def _check_phi(history: History, phi: np.ndarray) -> np.ndarray:

@@ -141,10 +141,10 @@ def _add_moving_joint(
         lo, hi = joint_limits(model, joint)
         limit.set("lower", _number(lo))
         limit.set("upper", _number(hi))
-    dof = model.jnt_dofadr[joint]
+    dof = int(model.jnt_dofadr[joint])
     ElementTree.SubElement(
         element, "dynamics",
-        damping=_number(model.dof_damping[dof]), friction=_number(model.dof_frictionloss[dof]),
+        damping=_number(float(model.dof_damping[dof])), friction=_number(float(model.dof_frictionloss[dof])),
     )  # fmt: skip
 
 
@@ -160,7 +160,7 @@ def joint_effort(model: mujoco.MjModel, joint: int) -> float:
     if model.jnt_actfrclimited[joint]:
         return float(np.abs(model.jnt_actfrcrange[joint]).max())
     drives = np.flatnonzero(
-        np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        np.isin(model.actuator_trntype, [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)])
         & (model.actuator_trnid[:, 0] == joint)
     )
     if not len(drives) or not model.actuator_forcelimited[drives].all():

@@ -119,8 +119,13 @@ def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
 def postures(limits: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
     """Return random joint values within the limits; a full turn, or metre, each way where there is none."""
     rng = np.random.default_rng(0)
-    ranges = {name: (max(lo, -2 * math.pi), min(hi, 2 * math.pi)) for name, (lo, hi) in limits.items()}
-    return [{name: float(rng.uniform(*sorted(r))) for name, r in ranges.items()} for _ in range(POSTURES)]
+    turn = 2 * math.pi
+
+    def value(lo: float, hi: float) -> float:
+        a, b = sorted((max(lo, -turn), min(hi, turn)))
+        return float(rng.uniform(a, b))
+
+    return [{name: value(*limit) for name, limit in limits.items()} for _ in range(POSTURES)]
 
 
 def read_mjcf(model: mujoco.MjModel) -> Reading:

@@ -1,0 +1,54 @@
+"""The command line `morph-studio`: serve, train, runs, evaluate, export."""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from studio.cli.arguments import UsageError
+
+COMMANDS = {
+    "serve": "open the studio in the browser",
+    "train": "co-optimise body and controller without a browser, or go on with a run",
+    "runs": "list the runs of a folder",
+    "evaluate": "measure success and return of a design on Hw-Phy",
+    "export": "write a design as MJCF and URDF that agree with each other",
+}
+HELP = """\
+usage: morph-studio COMMAND ...
+
+Co-optimise a robot's body and its controller, and watch it happen.
+
+{commands}
+
+morph-studio COMMAND --help lists the options of a command. A first run: morph-studio serve
+"""
+
+
+def main() -> None:
+    """Run the command of `sys.argv` and exit: 0 done, 1 failed, 2 asked for the impossible, 130 stopped by Ctrl-C."""
+    try:
+        code = run(sys.argv[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader of our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except KeyboardInterrupt:
+        code = 130
+    sys.exit(code)
+
+
+def run(words: Sequence[str]) -> int:
+    """Run one command and return its exit status."""
+    if not words or words[0] in ("-h", "--help"):
+        commands = "\n".join(f"  {name:10}{does}" for name, does in COMMANDS.items())
+        print(HELP.format(commands=commands), end="", file=sys.stdout if words else sys.stderr)
+        return 0 if words else 2
+    command, *rest = words
+    try:
+        if command not in COMMANDS:
+            raise UsageError(f'unknown command "{command[:40]}"; choose from: {", ".join(COMMANDS)}')
+        return importlib.import_module(f"studio.cli.{command}").main(rest)
+    except UsageError as error:
+        print(f"morph-studio: {error}", file=sys.stderr)  # noqa: T201
+        return 2

@@ -1,0 +1,109 @@
+"""The arguments of one command: a dataclass is its flags, its docstrings are its help, an error is one line."""
+
+import contextlib
+import dataclasses
+import difflib
+import io
+import os
+import re
+import typing
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import tyro
+
+T = TypeVar("T")
+Count = Annotated[int, tyro.conf.arg(metavar="N")]
+RunName = Annotated[str, tyro.conf.arg(metavar="RUN")]
+
+
+class UsageError(ValueError):
+    """What was asked for is not possible; the message says what is."""
+
+
+def default_runs() -> Path:
+    return Path(os.environ.get("MORPH_RUNS") or "runs")
+
+
+@dataclass(frozen=True)
+class RunsArguments:
+    """Where the runs lie; part of every command."""
+
+    runs: Annotated[Path, tyro.conf.arg(metavar="DIR")] = field(default_factory=default_runs)
+    """Folder of the runs; MORPH_RUNS from the environment."""
+
+
+def parse(kind: type[T], words: Sequence[str], command: str) -> T:
+    """Return the arguments; raise UsageError with one line. `--help` prints and exits."""
+    _check_options(kind, words)
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(
+                kind, prog=f"morph-studio {command}", args=list(words), config=(tyro.conf.FlagCreatePairsOff,)
+            )
+    except SystemExit as end:
+        if end.code in (0, None):
+            raise
+    raise UsageError(f"{command}: {_one_line(said.getvalue())}")
+
+
+def options(kind: type) -> Iterator[str]:
+    """Yield the flags that the fields of a dataclass become, those of nested dataclasses included."""
+    hints = typing.get_type_hints(kind, include_extras=True)
+    for entry in dataclasses.fields(kind):
+        annotation = hints[entry.name]
+        bare = typing.get_args(annotation)[0] if typing.get_origin(annotation) is Annotated else annotation
+        if not entry.init or tyro.conf.Positional in getattr(annotation, "__metadata__", ()):
+            continue
+        if dataclasses.is_dataclass(bare) and isinstance(bare, type):
+            yield from options(bare)
+        else:
+            yield "--" + entry.name.replace("_", "-")
+
+
+def _check_options(kind: type, words: Sequence[str]) -> None:
+    """Raise UsageError that lists the choices if a word is no option of this command."""
+    known = [*options(kind), "--help"]
+    for word in words:
+        flag = word.split("=")[0].replace("_", "-")
+        if flag.startswith("--") and flag not in known:
+            near = difflib.get_close_matches(flag, known, 1)
+            hint = f" (did you mean {near[0]}?)" if near else ""
+            raise UsageError(f"unknown option {word.split('=')[0]}{hint}; choose from: {' '.join(known)}")
+
+
+def _one_line(box: str) -> str:
+    """Return what an error box says, without its frame, its title and the help that follows its rule."""
+    said = []
+    for line in box.splitlines():
+        text = re.sub(r"[╭╮╰╯│]", "", line).strip()
+        if said and re.fullmatch("─+", text):
+            break
+        if not text.startswith("─"):
+            said.append(text)
+    message = " ".join(said)
+    for pattern, plain in _PLAIN:
+        message = re.sub(pattern, plain, message)
+    return message or "the arguments can't be read; see --help"
+
+
+def _choices(match: re.Match[str]) -> str:
+    value, flag, allowed = match.groups()
+    return f'{flag} can\'t be "{value}"; choose from: {allowed.replace(chr(39), "")}'
+
+
+_PLAIN = (
+    (r"^Error parsing (config: |options: )?", ""),
+    (r"^Missing from [^:]*: (\S+).*", r"\1 is missing; see --help"),
+    (r"^Missing value for argument '(.*?)'.*", r"\1 needs a value"),
+    (r"^Unrecognized options: ", "too many words: "),
+    (r"^invalid choice '(.*)' for argument '(.*)'\. Expected one of \((.*?),?\)\.$", _choices),
+    (r"no type matching (?:\{None\}\|)?(\w+) could be instantiated from \[(.*?)\].*", r"\2 is no \1"),
+    (r"invalid literal for int\(\) with base 10: (.*)", r"\1 is no whole number"),
+    (r"could not convert string to float: (.*)", r"\1 is no number"),
+    (r"\bINT\b", "whole number"),
+)
+"""What the parser says -> the same in plain words."""

@@ -1,0 +1,28 @@
+"""The run that RUN names: a name inside the folder of runs, or a path."""
+
+from pathlib import Path
+
+from morph_core.history import History
+from morph_core.run_folder import RunFolder, RunFolderError, find_run
+from studio.cli.arguments import UsageError
+
+
+def open_run(runs: Path, run: str) -> History:
+    """Raise UsageError that lists the choices, or says why the folder can't be read."""
+    path = Path(run)
+    try:
+        if path.is_absolute() or len(path.parts) > 1 or (path / "run.json").is_file():
+            return History(RunFolder(path.resolve()))
+        return History(find_run(runs, run))
+    except (RunFolderError, OSError) as error:
+        raise UsageError(str(error)) from error
+    except ValueError as error:  # a run.json whose numbers contradict each other
+        raise UsageError(f"{run} can't be read: {error}") from error
+
+
+def check_design(history: History, which: str) -> None:
+    """Raise UsageError that says what is allowed unless `which` is a design of the run."""
+    try:
+        history.design(which)
+    except RunFolderError as error:
+        raise UsageError(str(error)) from error

@@ -1,0 +1,217 @@
+"""A trainer seen from the terminal: its progress, Ctrl-C, and what became of it."""
+
+import contextlib
+import shlex
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import FrameType
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.text import Text
+
+from morph_core.history import History
+from morph_core.protocol import Status, Stop
+from morph_core.run_folder import RunFolder
+
+POLL_SECONDS = 0.2
+LINE_SECONDS = 5.0
+"""How often a line is printed where there is no terminal."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of the trainer, and the exit status that says so."""
+
+    code: int
+    status: Status
+    message: str
+
+
+def follow(folder: RunFolder, spawn: Callable[[], subprocess.Popen[bytes]], *, quiet: bool) -> Outcome:
+    """Start a trainer and show it until it ends. The first Ctrl-C stops it after the iteration, the second kills it."""
+    console = Console(stderr=True, soft_wrap=True)
+    with _interrupts() as presses:
+        spawned, log_start = time.time(), _size(folder)
+        trainer = spawn()
+        show = Bar if console.is_terminal else Lines
+        with show(console, quiet) as view:
+            view.say(f"{folder.id}: started; morph-studio serve --runs {shlex.quote(str(folder.path.parent))} shows it")
+            _wait(folder, trainer, presses, view)
+        outcome = _outcome(History(folder), trainer.wait(), bool(presses), spawned, log_start)
+        if not quiet or outcome.code == 1:
+            _conclude(console, folder, outcome)
+        return outcome
+
+
+def _wait(folder: RunFolder, trainer: subprocess.Popen[bytes], presses: list[int], view: "Bar | Lines") -> None:
+    history = History(folder)
+    heard = 0
+    while trainer.poll() is None:
+        time.sleep(POLL_SECONDS)
+        history.poll()
+        view.show(history)
+        if presses and heard == 0:
+            heard = 1
+            folder.send(Stop())
+            view.say("stopping after this iteration; Ctrl-C again ends it at once")
+        elif len(presses) > 1 and heard == 1:
+            heard = 2
+            trainer.kill()  # a checkpoint is whole or not there: nothing before it is lost
+    history.poll()
+    view.show(history, last=True)
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Collect Ctrl-C and SIGTERM in a list instead of being ended by them."""
+    presses: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
+        presses.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield presses
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _outcome(history: History, code: int, interrupted: bool, spawned: float, log_start: int) -> Outcome:
+    said = history.state is not None and history.state.time >= spawned  # not the words of an earlier trainer
+    status, message = history.status, history.message
+    if said and status == "finished":
+        return Outcome(0, status, message)
+    if said and status == "stopped":
+        return Outcome(130 if interrupted else 0, status, message)
+    if interrupted and code == -signal.SIGKILL:
+        return Outcome(130, "lost", "ended at once; what came after the newest checkpoint will be done again")
+    if not (said and status == "failed" and message):
+        message = f"the trainer ended with {_in_words(code)}{_last_words(history.folder, log_start)}"
+    return Outcome(1, "failed", message)
+
+
+def _in_words(code: int) -> str:
+    return f"signal {-code} ({signal.strsignal(-code)})" if code < 0 else f"exit status {code}"
+
+
+def _size(folder: RunFolder) -> int:
+    log = folder.path / "trainer.log"
+    return log.stat().st_size if log.exists() else 0
+
+
+def _last_words(folder: RunFolder, start: int) -> str:
+    """Return the last line that this trainer, not an earlier one, wrote to its log."""
+    try:
+        with (folder.path / "trainer.log").open("rb") as log:
+            log.seek(start)
+            lines = log.read().decode(errors="replace").strip().splitlines()
+    except OSError:
+        return ""
+    return f": {lines[-1][:400]}" if lines else ""
+
+
+def _conclude(console: Console, folder: RunFolder, outcome: Outcome) -> None:
+    console.print(Text(f"{outcome.status}: {outcome.message}"))
+    if outcome.status != "finished":
+        console.print(Text(f"go on with it: morph-studio train --resume {shlex.quote(str(folder.path))}"))
+
+
+# --- two ways to show it ----------------------------------------------------------------------------------------------
+
+
+class Bar:
+    """A progress bar that stays on the last lines of the terminal, success, return and phi under it."""
+
+    def __init__(self, console: Console, quiet: bool) -> None:
+        self._quiet = quiet
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=None),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[eta]}"),
+            console=console,
+            expand=True,
+        )
+        self._task = self._progress.add_task("starting", total=None, eta="")
+        self._words = Text(no_wrap=True, overflow="ellipsis")
+        self._live = Live(Group(self._progress, self._words), console=console, transient=True)
+
+    def __enter__(self) -> "Bar":
+        self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def say(self, sentence: str) -> None:
+        if not self._quiet:
+            self._live.console.print(Text(sentence))
+
+    def show(self, history: History, last: bool = False) -> None:
+        beat, status = history.heartbeat, history.status
+        self._progress.update(
+            self._task,
+            description=beat.stage if beat and status in ("starting", "running") else status,
+            completed=history.iteration,
+            total=_planned(history),
+            eta=_eta(history),
+        )
+        self._words.plain = _in_short(history)
+        if last:
+            self.say(f"iteration {history.iteration}/{_planned(history)}  {_in_short(history)}")
+
+
+class Lines:
+    """A line now and then, for a log file."""
+
+    def __init__(self, console: Console, quiet: bool) -> None:
+        self._console, self._quiet = console, quiet
+        self._next = time.monotonic()
+        self._shown = 0
+
+    def __enter__(self) -> "Lines":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def say(self, sentence: str) -> None:
+        if not self._quiet:
+            self._console.print(Text(sentence))
+
+    def show(self, history: History, last: bool = False) -> None:
+        if history.iteration == self._shown or (time.monotonic() < self._next and not last):
+            return
+        self._shown, self._next = history.iteration, time.monotonic() + LINE_SECONDS
+        words = f"iteration {history.iteration}/{_planned(history)}  {_in_short(history)}  {_eta(history)}"
+        self.say(words.rstrip())
+
+
+def _planned(history: History) -> int:
+    return history.heartbeat.iterations if history.heartbeat else history.record.iterations
+
+
+def _in_short(history: History) -> str:
+    """Return success and return of the last evaluation, or else of the last iteration, and phi."""
+    if not history.progress:
+        return ""
+    if history.evaluations:
+        success, gain = history.evaluations[-1].sampled_success, history.evaluations[-1].sampled_return
+    else:
+        success, gain = history.progress[-1].success, history.progress[-1].episode_return
+    phi = " ".join(f"{value:.2f}" for value in history.phi)
+    return f"success {success:.2f}  return {gain:.2f}  phi {phi}"
+
+
+def _eta(history: History) -> str:
+    eta = history.heartbeat.eta_seconds if history.heartbeat else None
+    if eta is None or history.iteration >= _planned(history):
+        return ""
+    minutes, seconds = divmod(round(eta), 60)
+    return f"ETA {minutes}:{seconds:02d}"

@@ -1,0 +1,80 @@
+"""`morph-studio runs`: list the runs of a folder."""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from morph_core.run_folder import RunFolderError
+from studio.cli.arguments import RunsArguments, parse
+from studio.runs import Runs
+
+
+@dataclass(frozen=True)
+class ListArguments(RunsArguments):
+    """List the runs of a folder, the newest first; a folder that can't be read is listed with the reason."""
+
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+def main(words: Sequence[str]) -> int:
+    arguments = parse(ListArguments, words, "runs")
+    lines = list_runs(arguments.runs)
+    if arguments.json:
+        json.dump(lines, sys.stdout, indent=2)
+        sys.stdout.write("\n")
+    else:
+        _print_table(arguments.runs, lines)
+    return 0
+
+
+def list_runs(folder: Path) -> list[dict[str, object]]:
+    """Return one entry per run: what the API says about it, and its best evaluation."""
+    runs = Runs(folder)
+    lines = []
+    for summary in runs.summaries():
+        line = msgspec.to_builtins(summary)
+        del line["current"]  # which run a browser shows is the server's to know
+        try:
+            best = runs.get(summary.id).best
+        except RunFolderError:
+            best = None
+        line["best"] = best and {
+            "iteration": best.iteration, "success": best.sampled_success, "episode_return": best.sampled_return
+        }  # fmt: skip
+        lines.append(line)
+    return lines
+
+
+def _print_table(folder: Path, lines: list[dict[str, object]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    if not console.is_terminal:
+        console.width = 200  # a pipe has no width: names stay whole
+    if not lines:
+        console.print(Text(f"no runs in {folder} yet; start one: morph-studio train reacher"), soft_wrap=True)
+        return
+    table = Table(box=None, pad_edge=False)
+    for heading in ("run", "task", "method", "seed", "status", "iteration", "success", "best"):
+        numeric = heading in ("seed", "iteration", "success", "best")
+        table.add_column(heading, justify="right" if numeric else "left", overflow="fold")
+    for line in lines:
+        best = line["best"]
+        table.add_row(*(Text(cell) for cell in (
+            str(line["id"]), str(line["task"] or ""), str(line["method"] or ""),
+            "" if line["seed"] is None else str(line["seed"]), str(line["status"]),
+            "" if line["iterations"] is None else f"{line['iteration']}/{line['iterations']}",
+            "" if line["success"] is None else f"{line['success']:.2f}",
+            f"{best['success']:.2f} at {best['iteration']}" if isinstance(best, dict) else "",
+        )))  # fmt: skip
+    console.print(table)
+    for line in lines:
+        if line["reason"] and line["status"] in ("failed", "lost", "unreadable"):
+            console.print(Text(f"{line['id']}: {line['reason']}"), soft_wrap=True)

@@ -1,0 +1,209 @@
+"""`morph-studio train`: co-optimise body and controller without a browser, or go on with a run."""
+
+import dataclasses
+import itertools
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from morph_core.config import Config, Method, config_from
+from morph_core.history import History
+from morph_core.run_folder import RunFolder, process_alive
+from morph_core.tasks import TASKS, make_task
+from studio.cli.arguments import RunsArguments, UsageError, parse
+from studio.cli.choice import open_run
+from studio.cli.follow import Outcome, follow
+from studio.runs import prepare_run, spawn_trainer
+
+DEFAULT_ITERATIONS = 100
+BEATS_WITHIN = 3.0
+"""Seconds in which the heartbeat of a living trainer, here or on another machine, changes."""
+
+
+@dataclass(frozen=True)
+class TrainArguments(RunsArguments):
+    """Co-optimise body and controller without a browser; the studio shows the run live all the same.
+
+    Ctrl-C saves and stops after the iteration; --resume goes on from there.
+    """
+
+    task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")] = ""
+    """The task; with --resume it may be left out."""
+    method: Method = "morph"
+    """MORPH, or one of its baselines."""
+    seed: int = 0
+    """Seed of all randomness."""
+    iterations: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Iterations of a new run (100); with --resume, how many beyond the last recorded one (as planned)."""
+    resume: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
+    """Go on with this run, a name or the path of its folder, from its newest checkpoint."""
+    json: bool = False
+    """Print one JSON document at the end and nothing else."""
+
+
+def main(words: Sequence[str]) -> int:
+    asked = _parse(words)
+    if asked.iterations is not None and asked.iterations < 1:
+        raise UsageError(f"train: --iterations must be at least 1, not {asked.iterations}")
+    folder, further = _resumed(asked) if asked.resume is not None else (_prepared(asked), None)
+    outcome = follow(folder, lambda: spawn_trainer(folder, further=further), quiet=asked.json)
+    if asked.json:
+        json.dump(_document(History(folder), outcome), sys.stdout, indent=2)
+        sys.stdout.write("\n")
+    return outcome.code
+
+
+# --- what was asked for -----------------------------------------------------------------------------------------------
+
+
+def _parse(words: Sequence[str]) -> Any:
+    """Return the arguments, among them the `config` and `options` of the task that they name.
+
+    Defaults depend on the task and its options, or on the run that is resumed: a value that differs from them was
+    given by the user.
+    """
+    task, resumed = _task_of(words), _value_after(words, "--resume")
+    if resumed is not None:
+        record = open_run(parse_runs(words), resumed).record
+        try:
+            options = make_task(record.task, record.task_options)
+            config = config_from(record.config)
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"{resumed} can't be resumed: {error}") from error
+        return parse(_arguments(record.task, config, options, record.method, record.seed), words, "train")
+    defaults: Any = TASKS[task]()
+    first = parse(_arguments(task, defaults.config, defaults), words, "train")
+    if first.task not in TASKS:
+        said = f'unknown task "{first.task[:40]}"' if first.task else "a task is missing"
+        raise UsageError(f"{said}; choose from: {', '.join(sorted(TASKS))}")
+    return parse(_arguments(first.task, first.options.config, defaults), words, "train")
+
+
+def _task_of(words: Sequence[str]) -> str:
+    return next((word for word in words if word in TASKS), next(iter(TASKS)))
+
+
+def _value_after(words: Sequence[str], option: str) -> str | None:
+    for word, following in itertools.zip_longest(words, words[1:]):
+        if word == option:
+            return following
+        if word.startswith(option + "="):
+            return word.removeprefix(option + "=")
+    return None
+
+
+def parse_runs(words: Sequence[str]) -> Path:
+    """Return the folder of runs that the words name, before the rest of them can be read."""
+    named = _value_after(words, "--runs")
+    return Path(named) if named else RunsArguments().runs
+
+
+def _arguments(task: str, config: Config, options: Any, method: str = "morph", seed: int = 0) -> type:
+    """Return TrainArguments with the flags of the config and of the task."""
+    return dataclasses.make_dataclass(
+        "TrainArguments",
+        [
+            ("method", Method, method),
+            ("seed", int, seed),
+            ("config", tyro.conf.OmitArgPrefixes[Config], config),
+            ("options", tyro.conf.OmitArgPrefixes[TASKS[task]], options),
+        ],
+        bases=(TrainArguments,),
+        frozen=True,
+        namespace={"__doc__": TrainArguments.__doc__},
+    )
+
+
+def _given(chosen: Any, defaults: Any) -> dict[str, object]:
+    """Return the init fields of a dataclass that differ from `defaults`."""
+    names = [field.name for field in dataclasses.fields(chosen) if field.init]
+    return {name: getattr(chosen, name) for name in names if getattr(chosen, name) != getattr(defaults, name)}
+
+
+def _prepared(asked: Any) -> RunFolder:
+    try:
+        return prepare_run(
+            asked.runs,
+            task=asked.task,
+            method=asked.method,
+            seed=asked.seed,
+            iterations=DEFAULT_ITERATIONS if asked.iterations is None else asked.iterations,
+            settings=_given(asked.config, asked.options.config),
+            task_options=_given(asked.options, TASKS[asked.task]()),
+        )
+    except (ValueError, OSError) as error:
+        raise UsageError(f"train: {error}") from error
+
+
+def _resumed(asked: Any) -> tuple[RunFolder, int | None]:
+    """Return the folder to go on with, and how many iterations beyond the last recorded one (None: as planned)."""
+    history = open_run(asked.runs, asked.resume)
+    record, folder = history.record, history.folder
+    if asked.task and asked.task != record.task:
+        raise UsageError(f"{folder.id} is a run of the task {record.task}, not {asked.task}")
+    given = {
+        **_given(asked.config, config_from(record.config)),
+        **_given(asked.options, make_task(record.task, record.task_options)),
+        **({"method": asked.method} if asked.method != record.method else {}),
+        **({"seed": asked.seed} if asked.seed != record.seed else {}),
+    }
+    if given:
+        names = ", ".join("--" + name.replace("_", "-") for name in given)
+        raise UsageError(f"{folder.id} keeps what it was started with: leave out {names}, or start a new run")
+    if _trainer_at_work(folder):
+        raise UsageError(f"{folder.id} is {history.status}: its trainer is at work; watch it with morph-studio serve")
+    if asked.iterations is None and history.iteration >= record.iterations:
+        raise UsageError(
+            f"all {history.iteration} iterations of {folder.id} are done: give --iterations M for M further ones"
+        )
+    return folder, asked.iterations
+
+
+def _trainer_at_work(folder: RunFolder) -> bool:
+    """Tell whether a trainer holds the folder; one just killed here leaves a heartbeat that looks alive, but stands."""
+    beat = folder.heartbeat()
+    if beat is None or not folder.trainer_alive():
+        return False
+    deadline = time.monotonic() + BEATS_WITHIN
+    while time.monotonic() < deadline:
+        if process_alive(beat.pid, beat.process_started) or folder.heartbeat() != beat:
+            return True
+        time.sleep(0.1)
+    return False
+
+
+# --- what came of it --------------------------------------------------------------------------------------------------
+
+
+def _document(history: History, outcome: Outcome) -> dict[str, object]:
+    last = history.evaluations[-1] if history.evaluations else None
+    progress = history.progress[-1] if history.progress else None
+    return {
+        "run": history.folder.id,
+        "path": str(history.folder.path.resolve()),
+        "task": history.record.task,
+        "method": history.record.method,
+        "seed": history.record.seed,
+        "status": outcome.status,
+        "message": outcome.message,
+        "iterations": history.iteration,
+        "env_steps": progress.env_steps if progress else 0,
+        "phi": dict(zip(history.design_space.names, history.phi.tolist(), strict=True)),
+        "last_evaluation": _evaluation(last),
+        "best_evaluation": _evaluation(history.best),
+        "cpu_seconds": max([e.cpu_seconds for e in (*history.progress[-1:], *history.evaluations[-1:])], default=0.0),
+    }
+
+
+def _evaluation(evaluation: Any) -> dict[str, object] | None:
+    if evaluation is None:
+        return None
+    names = ("iteration", "env_steps", "phi", "sampled_success", "sampled_return", "deterministic_success",
+             "deterministic_return", "rollout", "cpu_seconds")  # fmt: skip
+    return {name: getattr(evaluation, name) for name in names}
