@@ -1,0 +1,166 @@
+// The shell round the viewer: which run is shown and how it fares, and what to do when the server goes away.
+
+const INTERVAL = 1000;
+const HIDDEN_INTERVAL = 5000;
+const PATIENCE = 15000;
+const GIVEN_UP = "__given_up__";
+
+const find = (id) => document.getElementById(id);
+const [chooser, chip, statusWord, doing, progress] = ["chooser", "chip", "status", "doing", "progress"].map(find);
+const [banner, words, dismiss, viewer, loading, theme] = ["banner", "words", "dismiss", "viewer", "loading", "theme"].map(find);
+
+let boot = null;
+let reachable = true;
+let dismissed = "";
+let choosing = 0;
+
+// --- the viewer ------------------------------------------------------------------------------------------------------
+
+function openViewer() {
+  loading.hidden = false;
+  viewer.src = document.documentElement.dataset.theme === "dark" ? "/viewer/?darkMode" : "/viewer/";
+  const started = performance.now();
+  const timer = setInterval(() => {
+    const drawn = viewer.contentDocument?.querySelector("canvas");
+    if (drawn || performance.now() - started > PATIENCE) {
+      clearInterval(timer);
+      loading.hidden = true;
+      focusViewer();
+    }
+  }, 100);
+}
+
+// The viewer's client looks for a lost server only while it has the focus.
+function focusViewer() {
+  if ([document.body, viewer, null].includes(document.activeElement)) viewer.contentWindow?.focus();
+}
+
+theme.addEventListener("click", () => {
+  const next = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+  document.documentElement.dataset.theme = next;
+  localStorage.setItem("morph-theme", next);
+  openViewer();
+});
+
+// --- the bar ---------------------------------------------------------------------------------------------------------
+
+const percent = (share) => `${Math.round(share * 100)} %`;
+
+function duration(seconds) {
+  if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
+  if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
+  return `${Math.floor(seconds / 3600)} h ${Math.round((seconds % 3600) / 60)} min`;
+}
+
+function describe(run) {
+  const parts = [];
+  if (run.stage) parts.push(run.stage);
+  if (run.iterations) parts.push(`iteration ${run.iteration} of ${run.iterations}`);
+  if (run.eta_seconds !== null) parts.push(`${duration(run.eta_seconds)} left`);
+  if (run.success !== null) parts.push(`success ${percent(run.success)}`);
+  return parts.join("  ·  ");
+}
+
+function option(value, text, title, disabled) {
+  const made = document.createElement("option");
+  Object.assign(made, { value, textContent: text, title, disabled });
+  return made;
+}
+
+function listRuns(runs, current) {
+  if (document.activeElement === chooser || Date.now() - choosing < 1500) return; // not while it is open
+  const prompt = runs.length ? "choose a run" : "no runs yet";
+  const options = runs.map((run) => option(run.id, `${run.id}  ·  ${run.status}`, run.reason, run.status === "unreadable"));
+  if (!current) options.unshift(option("", prompt, "", true));
+  const signature = options.map((o) => o.textContent).join("\n");
+  if (chooser.dataset.signature !== signature) {
+    chooser.replaceChildren(...options);
+    chooser.dataset.signature = signature;
+  }
+  chooser.disabled = runs.length === 0;
+  chooser.value = current ? current.id : "";
+}
+
+chooser.addEventListener("change", async () => {
+  choosing = Date.now();
+  await fetch(`/api/runs/${encodeURIComponent(chooser.value)}/show`, { method: "POST" }).catch(() => null);
+  chooser.blur();
+  focusViewer();
+  await look();
+});
+
+function showRun(run) {
+  chip.hidden = progress.hidden = !run;
+  doing.textContent = run ? describe(run) : "";
+  doing.title = run ? run.reason : "";
+  document.title = run ? `${run.status} ${run.iteration}/${run.iterations} · MORPH Studio` : "MORPH Studio";
+  if (!run) return;
+  chip.dataset.status = statusWord.textContent = run.status;
+  chip.title = run.reason;
+  progress.hidden = !run.iterations;
+  progress.max = run.iterations || 1;
+  progress.value = Math.min(run.iteration, progress.max);
+}
+
+// --- the banner ------------------------------------------------------------------------------------------------------
+
+function say(sentence, kind) {
+  banner.hidden = !sentence || sentence === dismissed;
+  banner.dataset.kind = kind;
+  words.textContent = sentence;
+  dismiss.hidden = kind === "server";
+}
+
+dismiss.addEventListener("click", () => {
+  dismissed = words.textContent;
+  banner.hidden = true;
+});
+
+function sayRun(run) {
+  const reason = run?.reason ? `: ${run.reason}` : "";
+  if (run && ["failed", "lost", "unreadable"].includes(run.status)) say(`${run.status}${reason}  (${run.id})`, "run");
+  else if (run?.status === "paused" && run.reason) say(`paused${reason}`, "note");
+  else say("", "run");
+}
+
+// --- the server ------------------------------------------------------------------------------------------------------
+
+async function ask(path) {
+  const response = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(4000) });
+  if (response.status === 401) return GIVEN_UP;
+  if (!response.ok) throw new Error(`${path} answered ${response.status}`);
+  return response.json();
+}
+
+async function look() {
+  try {
+    const health = await ask("/healthz");
+    const restarted = boot !== null && health.boot !== boot;
+    boot = health.boot;
+    const runs = await ask("/api/runs");
+    if (runs === GIVEN_UP) {
+      say("The server was started anew: open the link it printed in its terminal.", "server");
+      return;
+    }
+    if (restarted) openViewer();
+    else if (!reachable) focusViewer();
+    reachable = true;
+    const current = runs.find((run) => run.current);
+    listRuns(runs, current);
+    showRun(current);
+    sayRun(current);
+  } catch {
+    reachable = false;
+    say("The server does not answer; trying again. Runs go on without it.", "server");
+  }
+}
+
+async function watch() {
+  await look();
+  if (!reachable) focusViewer();
+  setTimeout(watch, document.hidden ? HIDDEN_INTERVAL : INTERVAL);
+}
+
+document.addEventListener("visibilitychange", () => document.hidden || look());
+openViewer();
+watch();
