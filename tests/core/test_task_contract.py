@@ -1,0 +1,145 @@
+"""What every task must keep: a task is done when this suite passes for it."""
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import morph_core.envs  # noqa: F401 - registers the tasks
+from morph_core.rollout import collect
+from morph_core.task import Task
+from morph_core.tasks import TASKS, make_task
+
+N = 6
+
+
+@pytest.fixture(params=sorted(TASKS))
+def task(request: pytest.FixtureRequest) -> Task:
+    return make_task(request.param)
+
+
+def random_designs(task: Task, rng: np.random.Generator) -> np.ndarray:
+    space = task.design_space
+    return rng.uniform(space.lo, space.hi, (N, len(space)))
+
+
+def test_names_units_and_the_initial_design_are_there(task: Task) -> None:
+    assert task.name in TASKS
+    assert task.title
+    assert all(p.name and p.unit for p in task.design_space.parameters)
+    task.design_space.check(task.design_space.initial)
+
+
+def test_shapes_are_as_declared(task: Task) -> None:
+    rng = np.random.default_rng(0)
+    hw_phy = task.hw_phy(random_designs(task, rng))
+    s = task.reset(hw_phy, N, rng)
+    assert s.shape == (N, task.state_size)
+    assert task.observe(s).shape == (N, task.observation_size)
+    assert task.observe(s).dtype == np.float32
+    step = task.step(hw_phy, s, rng.uniform(-1, 1, (N, task.action_size)))
+    assert step.s.shape == s.shape
+    assert step.a.shape == (N, task.action_size)
+    assert step.z.shape == (N, task.z_size)
+    assert step.contact.shape == (N, 3)
+    for vector in (step.reward, step.terminated, step.success, *step.reward_terms.values()):
+        assert vector.shape == (N,)
+    assert task.proxy_input(s, step.a).shape == (N, task.proxy_input_size)
+    assert task.proxy_input(s, step.a).dtype == np.float32
+    pairs = task.sample_pairs(5, rng)
+    assert [len(part) for part in pairs] == [5, 5]
+
+
+def test_everything_stays_finite_over_an_episode_of_any_design(task: Task) -> None:
+    rng = np.random.default_rng(1)
+    hw_phy = task.hw_phy(random_designs(task, rng))
+    act = lambda _: rng.uniform(-2, 2, (N, task.action_size)).astype(np.float32)  # noqa: E731
+    rollout = collect(task, act, hw_phy, task.reset(hw_phy, N, rng))
+    for array in (rollout.s, rollout.observation, rollout.a, rollout.z, rollout.reward):
+        assert np.isfinite(array).all()
+    assert np.allclose(sum(rollout.reward_terms.values()), rollout.reward)
+
+
+def test_the_same_seed_gives_the_same_episode(task: Task) -> None:
+    def episode() -> np.ndarray:
+        rng = np.random.default_rng(2)
+        hw_phy = task.hw_phy(task.design_space.initial)
+        act = lambda _: rng.uniform(-1, 1, (N, task.action_size)).astype(np.float32)  # noqa: E731
+        return collect(task, act, hw_phy, task.reset(hw_phy, N, rng)).s
+
+    assert np.array_equal(episode(), episode())
+
+
+def test_environments_do_not_touch_each_other(task: Task) -> None:
+    rng = np.random.default_rng(3)
+    designs, action = random_designs(task, rng), rng.uniform(-1, 1, (N, task.action_size))
+    s = task.reset(task.hw_phy(designs), N, rng)
+    together = task.step(task.hw_phy(designs), s, action)
+    for i in range(N):
+        alone = task.step(task.hw_phy(designs[i]), s[i : i + 1], action[i : i + 1])
+        assert np.allclose(alone.s[0], together.s[i], atol=1e-12)
+        assert np.allclose(alone.z[0], together.z[i], atol=1e-12)
+
+
+def test_z_is_what_hw_phy_says_of_the_executed_action(task: Task) -> None:
+    rng = np.random.default_rng(4)
+    hw_phy = task.hw_phy(random_designs(task, rng))
+    s = task.reset(hw_phy, N, rng)
+    step = task.step(hw_phy, s, rng.uniform(-1, 1, (N, task.action_size)))
+    assert np.allclose(hw_phy(s, step.a), step.z, atol=1e-9)
+
+
+def test_actions_beyond_one_are_clipped(task: Task) -> None:
+    rng = np.random.default_rng(5)
+    hw_phy = task.hw_phy(task.design_space.initial)
+    s = task.reset(hw_phy, N, rng)
+    wild = rng.choice([-1.0, 1.0], (N, task.action_size))
+    assert np.array_equal(task.step(hw_phy, s, 50 * wild).s, task.step(hw_phy, s, wild).s)
+
+
+def test_robot_and_scene_compile_at_every_corner_of_the_box(task: Task) -> None:
+    space = task.design_space
+    for phi in (space.lo, space.hi, space.initial, np.where(np.arange(len(space)) % 2, space.lo, space.hi)):
+        robot = task.spec(phi).compile()
+        scene = task.scene(phi).compile()
+        assert task.qpos(task.reset(task.hw_phy(phi), 1, np.random.default_rng(0))).shape == (1, robot.nq)
+        data = mujoco.MjData(scene)
+        mujoco.mj_forward(scene, data)
+        assert np.isfinite(data.geom_xpos).all()
+        assert any(scene.geom(i).name.startswith("goal") for i in range(scene.ngeom))
+
+
+@pytest.mark.filterwarnings("ignore:.*Box observation space.*infinity")
+def test_gymnasium_accepts_the_environment(task: Task) -> None:
+    check_env(gymnasium.make(_id(task)).unwrapped)
+
+
+def test_the_vector_environment_ends_and_restarts_episodes(task: Task) -> None:
+    env = gymnasium.make_vec(_id(task), num_envs=N, vectorization_mode="vector_entry_point")
+    first, _ = env.reset(seed=7)
+    assert np.array_equal(first, env.reset(seed=7)[0])
+    env.action_space.seed(7)
+    ended = np.zeros(N, dtype=int)
+    for _ in range(2 * task.horizon + 2):
+        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        assert observation in env.observation_space
+        assert not (terminated & truncated).any()
+        assert np.isfinite(reward).all()
+        assert info["success"].shape == (N,)
+        ended += terminated | truncated
+    assert (ended >= 2).all()
+
+
+def test_the_environment_takes_designs_and_refuses_wrong_ones(task: Task) -> None:
+    env = gymnasium.make(_id(task))
+    phi = task.design_space.hi
+    assert env.reset(options={"phi": phi})[1]["phi"].tolist() == phi.tolist()
+    with pytest.raises(ValueError, match="must lie inside"):
+        env.reset(options={"phi": 2 * phi + 1})
+    with pytest.raises(ValueError, match="finite"):
+        env.unwrapped.step(np.full(task.action_size, np.nan))
+
+
+def _id(task: Task) -> str:
+    return f"morph/{task.name.title().replace('_', '')}-v0"
