@@ -1,6 +1,7 @@
 """The one thread that writes the scene: it builds what is asked for and plays it in a loop."""
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from studio.viewer.scene import CONTACT_COLOUR, GHOST_COLOUR, Layer, Ruler, came
 from studio.viewer.take import FRAMES_PER_SECOND, Shot, Take, make_take
 
 SPEEDS = (0.1, 4.0)
+_FIELD_OF_VIEW = math.radians(40)
 _HOLD = 1.0
 """Seconds for which the last frame stays before the loop begins again."""
 _IDLE = 0.25
@@ -35,8 +37,8 @@ class Player:
         self._on_error = on_error
         self._robot = Layer(server, "robot")
         self._scenery = Layer(server, "scenery")
-        self._ghost = Layer(server, "ghost", opacity=0.4)
-        self._trail = Layer(server, "trail", opacity=0.25)
+        self._ghost = Layer(server, "ghost", opacity=0.55)
+        self._trail = Layer(server, "trail", opacity=0.35)
         self._contact = Layer(server, "contact")
         self._ruler = Ruler(server)
         self._change = threading.Condition()
@@ -159,8 +161,8 @@ class Player:
         self._framed = place
         self._ruler.show(*take.box)
         start = self._server.initial_camera
-        position, target = camera(*take.box, start.fov)
-        start.position, start.look_at = position, target
+        position, target = camera(*take.box, _FIELD_OF_VIEW)
+        start.fov, start.position, start.look_at = _FIELD_OF_VIEW, position, target
         for client in self._server.get_clients().values():
             client.camera.position, client.camera.look_at = position, target
 

@@ -70,7 +70,7 @@ class Layer:
     def paint(self, colours: np.ndarray) -> None:
         """Give the parts other colours (n, 3) uint8."""
         for batch in self._shown:
-            batch.handle.batched_colors = colours[batch.parts]
+            batch.handle.batched_colors = _linear(colours[batch.parts])
 
     @property
     def _shown(self) -> list[_Batch]:
@@ -90,7 +90,8 @@ class Layer:
         if batch is None:
             vertices, faces = (mesh.vertices, mesh.faces) if mesh else _unit(key)
             handle = self._server.scene.add_batched_meshes_simple(
-                f"/{self._name}/{key}", vertices, faces, wxyz, positions, batched_scales=scales, batched_colors=colours,
+                f"/{self._name}/{key}", vertices, faces, wxyz, positions, batched_scales=scales,
+                batched_colors=_linear(colours),
                 opacity=self._opacity, lod="off", flat_shading=mesh is not None, cast_shadow=False,
                 receive_shadow=False,
             )  # fmt: skip
@@ -102,7 +103,15 @@ class Layer:
         batch.handle.batched_positions = positions
         batch.handle.batched_wxyzs = wxyz
         batch.handle.batched_scales = scales
-        batch.handle.batched_colors = colours
+        batch.handle.batched_colors = _linear(colours)
+
+
+def light_up(server: viser.ViserServer) -> None:
+    """Light the scene evenly: colours must look the same on the light and on the dark theme."""
+    server.scene.configure_default_lights(enabled=False)
+    server.scene.configure_environment_map(None)
+    server.scene.add_light_ambient("/light/ambient", intensity=1.7)
+    server.scene.add_light_directional("/light/above", intensity=1.9, position=(-3.0, -4.0, 8.0))
 
 
 class Ruler:
@@ -122,7 +131,7 @@ class Ruler:
         z = float(low[2]) - 0.02 * cell
         self._grid = self._server.scene.add_grid(
             "/ruler/grid", float(end[0] - start[0]), float(end[1] - start[1]), cell_size=cell, section_size=cell,
-            cell_color=(150, 155, 165), section_color=(150, 155, 165), cell_thickness=0.5, section_thickness=0.5,
+            cell_color=(150, 155, 165), section_color=(150, 155, 165), cell_thickness=0.7, section_thickness=0.7,
             shadow_opacity=0.0, fade_strength=0.0, position=(*((start + end) / 2), z),
         )  # fmt: skip
         for i, (x, y, text) in enumerate(ticks):
@@ -138,19 +147,25 @@ class Ruler:
             label.visible = False
 
 
-def camera(low: np.ndarray, high: np.ndarray, fov: float, aspect: float = 0.9) -> tuple[np.ndarray, np.ndarray]:
+def camera(low: np.ndarray, high: np.ndarray, fov: float, aspect: float = 0.75) -> tuple[np.ndarray, np.ndarray]:
     """Return position (3,) and target (3,) of a camera that frames the box: from above if flat, else from the side.
 
     `fov` is the vertical one in radians; `aspect` is width / height of the free part of the page.
     """
     centre, size = (low + high) / 2, np.maximum(high - low, 1e-3)
     if size[2] < 0.25 * min(size[0], size[1]):
-        distance = max(size[1], size[0] / aspect) / 2 / math.tan(fov / 2) * 1.06
+        distance = max(size[1], size[0] / aspect) / 2 / math.tan(fov / 2) * 1.18
         direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)])
     else:
         distance = float(np.linalg.norm(size)) / 2 / math.tan(fov / 2) / min(1.0, aspect)
         direction = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])
     return centre + distance * direction, centre
+
+
+def _linear(colours: np.ndarray) -> np.ndarray:
+    """Return sRGB colours (n, 3) uint8 as the light intensities that viser's instances are painted with."""
+    share = colours / 255
+    return np.round(255 * np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
 
 
 def _groups(figure: Figure) -> dict[str, list[int]]:

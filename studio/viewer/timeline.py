@@ -106,9 +106,10 @@ class TimelinePanel:
 
     def show_time(self, seconds: float, duration: float) -> None:
         """Move the scrub slider along."""
+        for handle in (self.play, self.time, self.speed, self.loop):
+            handle.visible = duration > 0
         self.time.max = max(round(duration, 2), 0.01)
         self.time.value = round(seconds, 2)
-        self.time.disabled = duration == 0
 
     def toggle_playback(self) -> None:
         playing = not self._player.playing

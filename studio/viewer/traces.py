@@ -15,7 +15,8 @@ from studio.viewer import wording
 MOST_POINTS = 2000
 SERIES_COLOURS = ("#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5aa9e6", "#d0342c", "#7a828e")
 """Told apart on white and on black; the first ones also by most colour-blind people."""
-_HEIGHT = 150
+_HEIGHT = 118
+_FONT = "11px system-ui, sans-serif"
 _LOG = 3
 """uPlot's number of a logarithmic scale."""
 
@@ -51,8 +52,8 @@ class TracesPanel:
         self.panel.dock_left()
         self.panel.set_width(390)
         with self._tab:
-            self.note = gui.add_html("")
-            self._charts = [_Chart(gui, self._tab, trace) for trace in _TRACES]
+            self.note = gui.add_html("", order=0)
+        self._charts = [_Chart(gui, self._tab, trace, order) for order, trace in _TRACES.items()]
         self.clear("no data yet: press Start")
 
     @property
@@ -75,7 +76,10 @@ class TracesPanel:
             self._parameters = names
             for chart in self._charts[len(_TRACES) :]:
                 chart.remove()
-            self._charts = [*self._charts[: len(_TRACES)], _Chart(self._gui, self._tab, _phi_trace(history))]
+            self._charts = [
+                *self._charts[: len(_TRACES)],
+                _Chart(self._gui, self._tab, _phi_trace(history), _PHI_ORDER),
+            ]
         for chart in self._charts:
             chart.update(history)
 
@@ -83,14 +87,14 @@ class TracesPanel:
 class _Chart:
     """One chart, made when there is something to show: uPlot never recovers from an empty start."""
 
-    def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle, trace: Trace) -> None:
+    def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle, trace: Trace, order: int) -> None:
         self._gui = gui
         self._tab = tab
         self.trace = trace
         self.handle: viser.GuiUplotHandle | None = None
         with tab:
-            self._note = gui.add_html("")
-            self._holder = gui.add_folder(trace.title, visible=False)
+            self._note = gui.add_html("", order=order, visible=False)
+        self._order = order
         self._shown: tuple[str, int, float] | None = None
 
     def update(self, history: History) -> None:
@@ -107,22 +111,25 @@ class _Chart:
         if len(curves[0]) == 1:  # a line needs two ends, and uPlot a span
             curves = tuple(np.repeat(c, 2) if i else np.array([c[0], c[0] + 1.0]) for i, c in enumerate(curves))
         if self.handle is None:
-            with self._holder:
+            with self._tab:
                 self.handle = self._make(curves)
         elif not _equal(self.handle.data, curves):
             self.handle.data = curves
-        self._holder.visible = True
+        self.handle.visible = True
 
     def hide(self) -> None:
-        self._note.visible = self._holder.visible = False
+        self._note.visible = False
+        if self.handle is not None:
+            self.handle.visible = False
         self._shown = None
 
     def remove(self) -> None:
         self._note.remove()
-        self._holder.remove()
+        if self.handle is not None:
+            self.handle.remove()
 
     def _say(self, sentence: str) -> None:
-        self._holder.visible = False
+        self.hide()
         self._note.content = wording.paragraph(f"<b>{wording.text(self.trace.title)}</b><br>{wording.dim(sentence)}")
         self._note.visible = True
 
@@ -145,12 +152,35 @@ class _Chart:
             tuple(series),
             scales={"x": viser.uplot.Scale(time=False), "y": scale},
             axes=(
-                viser.uplot.Axis(label="iteration", labelSize=16, size=26, space=40),
-                viser.uplot.Axis(scale="y", label=trace.axis, labelSize=18, size=46, space=24),
+                viser.uplot.Axis(
+                    label="iteration",
+                    labelSize=14,
+                    labelGap=0,
+                    size=22,
+                    gap=2,
+                    space=40,
+                    font=_FONT,
+                    labelFont=_FONT,
+                    ticks=viser.uplot.Axis_Ticks(size=4),
+                ),
+                viser.uplot.Axis(
+                    scale="y",
+                    label=trace.axis,
+                    labelSize=16,
+                    labelGap=0,
+                    size=38,
+                    gap=2,
+                    space=22,
+                    font=_FONT,
+                    labelFont=_FONT,
+                    ticks=viser.uplot.Axis_Ticks(size=4),
+                ),
             ),
             legend=viser.uplot.Legend(show=True, live=True),
+            title=trace.title,
             height=_HEIGHT,
-            padding=(8, 10, 0, 0),
+            padding=(4, 12, 0, 0),
+            order=self._order,
         )
 
 
@@ -243,19 +273,19 @@ def _equal(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> bool:
     return len(one) == len(other) and all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
 
 
-_TRACES = (
-    Trace("Return on Hw-Phy", "return", ("sampled", "deterministic"), _returns, "waiting for the first evaluation"),
-    Trace(
+_PHI_ORDER = 20
+_TRACES = {
+    30: Trace("Return on Hw-Phy", "return", ("sampled", "deterministic"), _returns, "waiting for the first evaluation"),
+    10: Trace(
         "Success on Hw-Phy", "episodes [%]", ("sampled", "deterministic"), _successes,
         "waiting for the first evaluation", bounds=(-3.0, 103.0),
     ),
-    Trace(
-        "Agreement of the gradients", "cosine · share",
-        ("cosine of g_task and g_hw", "share of steps with a negative one"),
+    40: Trace(
+        "Agreement of g_task and g_hw", "cosine, share", ("cosine", "share of negative steps"),
         _cosines, "not measured so far by this method", bounds=(-1.05, 1.05),
     ),
-    Trace(
-        "Proxy against Hw-Phy", "squared distance of z", ("divergence of the proxy", "search cost"), _divergences,
+    50: Trace(
+        "Proxy against Hw-Phy", "distance² of z", ("divergence of the proxy", "search cost"), _divergences,
         "not measured so far by this method", logarithmic=True, colours=("#8a6be0", "#c9a400"),
     ),
-)  # fmt: skip
+}  # fmt: skip

@@ -16,7 +16,9 @@ from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
 from studio.viewer.player import Player
 from studio.viewer.run import ENDED, RunPanel
+from studio.viewer.scene import light_up
 from studio.viewer.start import StartPanel, StartRequest
+from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
 from studio.viewer.timeline import TimelinePanel
 from studio.viewer.traces import TracesPanel
@@ -60,16 +62,17 @@ class Viewer:
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(47, 127, 209))
         gui.set_panel_label("MORPH Studio")
-        server.scene.configure_default_lights(cast_shadow=False)
+        light_up(server)
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(360)
+        gui.main_panel.set_width(350)
         self.chooser = gui.add_dropdown("run", [NEW_RUN], hint="Every run in the runs folder, newest first")
         self.notice = gui.add_html("", visible=False)
         self.start = StartPanel(gui, on_start=self._start, on_preview=self._refresh)
         self.tabs = gui.add_tab_group()
         with self.tabs.add_tab("Run", viser.Icon.ACTIVITY):
             self.run = RunPanel(gui, send=self._send, on_resume=self._resume)
-        with self.tabs.add_tab("Design", viser.Icon.RULER_2):
+        with self.tabs.add_tab("Steer", viser.Icon.ADJUSTMENTS):
+            self.steer = SteerPanel(gui, send=self._send)
             self.design = DesignPanel(gui, send=self._send)
         with self.tabs.add_tab("Export", viser.Icon.DOWNLOAD):
             self.export = ExportPanel(gui, on_download=self._download)
@@ -203,8 +206,10 @@ class Viewer:
                 return
             status, message = self._statuses.get(run_id, (history.status, history.message))
             live = status not in ENDED
+            pending = [command for command, _ in self._pending.get(run_id, [])]
             self.run.show_visible(True)
-            self.run.update(history, status, message, [c for c, _ in self._pending.get(run_id, [])])
+            self.run.update(history, status, message, pending)
+            self.steer.update(history, status, pending)
             self.design.update(history, status)
             self.export.update(history)
             self.traces.update(history)
@@ -213,6 +218,7 @@ class Viewer:
 
     def _show_nothing(self, run_id: str | None) -> None:
         """Show the start panel, or why a run can't be shown."""
+        self.steer.clear()
         self.design.clear()
         self.export.clear()
         if run_id is None:
