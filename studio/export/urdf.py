@@ -194,6 +194,7 @@ def _add_joint(
 
 def _add_carrier(root: ElementTree.Element, name: str) -> None:
     inertial = ElementTree.SubElement(ElementTree.SubElement(root, "link", name=name), "inertial")
+    _add_origin(inertial, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     ElementTree.SubElement(inertial, "mass", value=_number(CARRIER_MASS))
     _add_inertia(inertial, np.full(3, CARRIER_MASS))
 

@@ -5,10 +5,11 @@ centres and moments of inertia, joint limits, and where every body and site stan
 """
 
 import importlib.util
-import io
 import math
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
@@ -67,14 +68,25 @@ def verify(
 
     A file that can't be read gives a failed check, not an exception.
     """
-    mesh_files = {name: content for name, content in files.items() if name.endswith(".stl")}
-    readers: list[tuple[str, Callable[[], Reading]]] = []
-    if "robot.xml" in files:
-        readers.append(("robot.xml in MuJoCo", lambda: read_mjcf(_load(files["robot.xml"], files))))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for path, content in files.items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(content)
+        checks = _read_and_compare(folder, model, only_mujoco)
     if "robot.urdf" in files:
-        readers.append(("robot.urdf in MuJoCo", lambda: read_urdf(_load(files["robot.urdf"], mesh_files))))
+        checks.append(_check_urdf(files))
+    return checks
+
+
+def _read_and_compare(folder: Path, model: mujoco.MjModel | None, only_mujoco: bool) -> list[Check]:
+    readers: list[tuple[str, Callable[[], Reading]]] = []
+    if (folder / "robot.xml").exists():
+        readers.append(("robot.xml in MuJoCo", lambda: read_mjcf(_load(folder / "robot.xml"))))
+    if (folder / "robot.urdf").exists():
+        readers.append(("robot.urdf in MuJoCo", lambda: read_urdf(_load(folder / "robot.urdf"))))
         if not only_mujoco and importlib.util.find_spec("yourdfpy"):
-            readers.append(("robot.urdf in yourdfpy", lambda: read_yourdfpy(files["robot.urdf"])))
+            readers.append(("robot.urdf in yourdfpy", lambda: read_yourdfpy(folder / "robot.urdf")))
     checks = []
     reference = None if model is None else read_mjcf(model)
     for name, read in readers:
@@ -86,8 +98,12 @@ def verify(
                 reference = reading
         except Exception as error:  # whatever a reader throws at a broken file is the finding
             checks.append(Check(name, math.inf, 0.0, f"can't be read: {error}"))
-    if "robot.urdf" in files:
-        checks.append(_check_urdf(files))
+    if (folder / "scene.xml").exists():
+        try:
+            _load(folder / "scene.xml")
+            checks.append(Check("scene.xml in MuJoCo: read", 0.0, 0.0))
+        except ValueError as error:
+            checks.append(Check("scene.xml in MuJoCo", math.inf, 0.0, f"can't be read: {error}"))
     return checks
 
 
@@ -168,11 +184,11 @@ def _read_mujoco(model: mujoco.MjModel, links: list[str], joints: list[str], sit
     )
 
 
-def read_yourdfpy(text: bytes) -> Reading:
-    """Read a URDF with yourdfpy."""
+def read_yourdfpy(path: Path) -> Reading:
+    """Read a URDF with yourdfpy; its meshes play no part in the comparison."""
     import yourdfpy
 
-    robot = yourdfpy.URDF.load(io.BytesIO(text), load_meshes=False, build_collision_scene_graph=False)
+    robot = yourdfpy.URDF.load(str(path), load_meshes=False, build_collision_scene_graph=False)
     centres = {
         name: np.eye(4) if link.inertial is None else link.inertial.origin for name, link in robot.link_map.items()
     }
@@ -204,8 +220,8 @@ def read_yourdfpy(text: bytes) -> Reading:
     )
 
 
-def _load(text: bytes, assets: Mapping[str, bytes]) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(text.decode(), dict(assets))
+def _load(path: Path) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(path))
 
 
 def _pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
@@ -264,9 +280,9 @@ def _faults_of_inertials(root: ElementTree.Element) -> list[str]:
         mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
         if mass is None or inertia is None:
             continue
-        if not float(mass.get("value", "nan")) > 0:
+        if not _read(mass, "value") > 0:
             faults.append(f"{link.get('name')} has no positive mass")
-        small, middle, large = sorted(float(inertia.get(axis, "nan")) for axis in ("ixx", "iyy", "izz"))
+        small, middle, large = sorted(_read(inertia, axis) for axis in ("ixx", "iyy", "izz"))
         if not (small > 0 and small + middle >= large * (1 - RELATIVE_ALLOWED)):
             faults.append(f"{link.get('name')} has an impossible inertia")
     return faults
@@ -283,7 +299,15 @@ def _faults_of_joints(root: ElementTree.Element) -> list[str]:
         limit = joint.find("limit")
         if joint.get("type") not in ("revolute", "prismatic"):
             continue
-        lo, hi = (math.nan if limit is None else float(limit.get(end, "nan")) for end in ("lower", "upper"))
+        lo, hi = (math.nan if limit is None else _read(limit, end) for end in ("lower", "upper"))
         if not lo < hi:
             faults.append(f"{joint.get('name')} has no limits with lower < upper")
     return faults
+
+
+def _read(element: ElementTree.Element, attribute: str) -> float:
+    """Return a number of the file, NaN where there is none."""
+    try:
+        return float(element.get(attribute, "nan"))
+    except ValueError:
+        return math.nan

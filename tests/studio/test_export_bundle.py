@@ -1,0 +1,214 @@
+"""The exported zip or folder: whole, the same every time, and honest about where it comes from."""
+
+import hashlib
+import io
+import json
+import os
+import zipfile
+from pathlib import Path
+
+import msgspec
+import mujoco
+import pytest
+
+from morph_core.history import History
+from morph_core.protocol import (
+    Acknowledged,
+    DesignSpaceChanged,
+    Evaluation,
+    Progress,
+    SetAlpha,
+    SetBound,
+    StateChanged,
+)
+from morph_core.run_folder import EventLog, RunFolder
+from studio.export.bundle import build_bundle, write_bundle
+from studio.export.errors import ExportError
+from studio.export.verify import verify
+from studio.runs import prepare_run
+
+PHIS = {1: [3.0, 2.9, 2.8, 2.7, 2.6], 2: [2.5, 2.0, 1.5, 1.0, 0.05], 3: [2.2, 1.0, 1.6, 2.4, 1.4]}
+
+
+@pytest.fixture
+def history(tmp_path: Path) -> History:
+    """A run of three iterations, the second evaluated best; after it link_1 was bounded."""
+    folder = prepare_run(tmp_path / "runs", task="reacher", seed=7, settings={"alpha": 2.0})
+    log = EventLog(folder)
+    log.append(StateChanged(status="running", iteration=0))
+    log.append(Acknowledged(id=1, iteration=0, accepted=True, command=SetAlpha(3.0)))
+    log.append(Acknowledged(id=2, iteration=0, accepted=False, command=SetAlpha(-3.0), message="no"))
+    for iteration, phi in PHIS.items():
+        log.append(Progress(iteration=iteration, env_steps=9, phi=phi, episode_return=0, success=0, policy_std=0.5))
+        success = 0.9 if iteration == 2 else 0.1
+        log.append(
+            Evaluation(
+                iteration=iteration, env_steps=9, phi=phi, sampled_success=success, sampled_return=0,
+                deterministic_success=0, deterministic_return=0,
+            )
+        )  # fmt: skip
+        if iteration == 2:
+            space = History(folder).design_space.with_bound("link_1", 1.0, 2.3)
+            log.append(DesignSpaceChanged(iteration=2, parameters=list(space.parameters)))
+            log.append(Acknowledged(id=3, iteration=2, accepted=True, command=SetBound("link_1", 1.0, 2.3)))
+    log.close()
+    return History(folder)
+
+
+def unpack(content: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def test_the_zip_holds_robot_scene_design_and_provenance(history: History) -> None:
+    name, content = build_bundle(history, "best")
+    files = unpack(content)
+    assert name == f"{history.folder.id}-best-000002.zip"
+    assert set(files) == {"README.txt", "design.json", "provenance.json", "robot.urdf", "robot.xml", "scene.xml"}
+    assert all(check.passed for check in verify(files))
+    scene = mujoco.MjModel.from_xml_string(files["scene.xml"].decode())
+    geoms = [scene.geom(i).name for i in range(scene.ngeom)]
+    assert any(name.startswith("goal") for name in geoms)
+    assert any(name.startswith("wall") for name in geoms)
+
+
+@pytest.mark.parametrize(("which", "iteration"), [("best", 2), ("latest", 3), ("1", 1)])
+def test_the_chosen_design_is_the_one_written(history: History, which: str, iteration: int) -> None:
+    files = unpack(build_bundle(history, which)[1])
+    design = json.loads(files["design.json"])
+    assert design["iteration"] == iteration
+    assert [p["value"] for p in design["parameters"]] == PHIS[iteration]
+    model = mujoco.MjModel.from_xml_string(files["robot.xml"].decode())
+    assert [2 * model.geom(f"link_{i + 1}").size[1] for i in range(5)] == pytest.approx(PHIS[iteration], rel=1e-15)
+
+
+def test_iteration_0_is_the_initial_design(history: History) -> None:
+    design = json.loads(unpack(build_bundle(history, "0")[1])["design.json"])
+    assert [p["value"] for p in design["parameters"]] == [3.0] * 5
+
+
+def test_bounds_and_commands_are_those_in_force_for_the_design(history: History) -> None:
+    before, after = (unpack(build_bundle(history, which)[1]) for which in ("2", "3"))
+    bounds = [json.loads(files["design.json"])["parameters"][0] for files in (before, after)]
+    assert [(p["lo"], p["hi"]) for p in bounds] == [(0.05, 5.0), (1.0, 2.3)]
+    commands = [json.loads(files["provenance.json"])["commands"] for files in (before, after)]
+    assert [[c["command"]["type"] for c in each] for each in commands] == [["set_alpha"], ["set_alpha", "set_bound"]]
+
+
+def test_provenance_says_where_it_comes_from_and_digests_every_other_file(history: History) -> None:
+    files = unpack(build_bundle(history, "latest")[1])
+    provenance = json.loads(files.pop("provenance.json"))
+    assert provenance["sha256"] == {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    assert (provenance["run"], provenance["iteration"], provenance["seed"]) == (history.folder.id, 3, 7)
+    assert provenance["config"] == history.record.config
+    assert provenance["config"]["alpha"] == 2.0
+    assert provenance["versions"] == history.record.versions
+    assert provenance["git_dirty"] == history.record.git_dirty
+    assert all("agrees" in check for check in provenance["checks"])
+    assert len(provenance["checks"]) > 10
+
+
+def test_two_exports_differ_in_nothing_but_the_time(history: History) -> None:
+    first, second = (unpack(build_bundle(history, "best")[1]) for _ in range(2))
+    times = [json.loads(files.pop("provenance.json")).pop("exported") for files in (first, second)]
+    assert all(time.endswith("Z") for time in times)
+    assert first == second
+
+
+def test_one_format_alone_leaves_the_other_out(history: History) -> None:
+    assert "robot.xml" not in unpack(build_bundle(history, "best", ["urdf"])[1])
+    assert "robot.urdf" not in unpack(build_bundle(history, "best", ["mjcf"])[1])
+
+
+@pytest.mark.parametrize("formats", [["stl"], ["mjcf", "3mf"], ["step"], []])
+def test_other_formats_are_refused_with_the_list(history: History, formats: list[str]) -> None:
+    with pytest.raises(ExportError, match="choose from: mjcf, urdf"):
+        build_bundle(history, "best", formats)
+
+
+@pytest.mark.parametrize("which", ["4", "newest", "../1", "-1", ""])
+def test_a_design_that_is_not_there_is_refused(history: History, which: str) -> None:
+    with pytest.raises(ExportError, match="choose best, latest"):
+        build_bundle(history, which)
+
+
+@pytest.mark.parametrize("phi", [[3.0, 3.0], [1e9, 1, 1, 1, 1], [0.0, 1, 1, 1, 1]])
+def test_a_recorded_design_outside_the_task_is_refused(history: History, phi: list[float]) -> None:
+    log = EventLog(history.folder)
+    log.append(Progress(iteration=4, env_steps=9, phi=phi, episode_return=0, success=0, policy_std=0.5))
+    history.poll()
+    with pytest.raises(ExportError, match="recorded design"):
+        build_bundle(history, "latest")
+
+
+def test_a_run_of_an_unknown_task_is_refused(history: History) -> None:
+    record = msgspec.structs.replace(history.record, task="juggling")
+    (history.folder.path / "run.json").write_bytes(msgspec.json.encode(record))
+    with pytest.raises(ExportError, match="choose from: reacher"):
+        build_bundle(History(history.folder), "best")
+
+
+def test_a_hostile_run_name_does_not_reach_a_file_name(history: History) -> None:
+    hostile = history.folder.path.with_name("..\\ a\n$(touch x)" + "é" * 60)
+    history.folder.path.rename(hostile)
+    name, content = build_bundle(History(RunFolder(hostile)), "best")
+    assert name.isascii()
+    assert not set(name) & set("/\\\n $()")
+    assert not name.startswith(".")
+    assert len(name) < 130
+    assert json.loads(unpack(content)["provenance.json"])["run"] == hostile.name
+
+
+def test_a_zip_is_written_to_the_path(history: History, tmp_path: Path) -> None:
+    out = write_bundle(history, "best", tmp_path / "new folder" / "arm.zip")
+    assert all(check.passed for check in verify(unpack(out.read_bytes())))
+    assert [p.name for p in out.parent.iterdir()] == ["arm.zip"]
+
+
+def test_a_folder_is_written_and_an_earlier_export_replaced(history: History, tmp_path: Path) -> None:
+    out = tmp_path / "arm"
+    write_bundle(history, "1", out, ["mjcf"])
+    write_bundle(history, "best", out, ["urdf"])
+    assert sorted(p.name for p in out.iterdir()) == ["README.txt", "design.json", "provenance.json", "robot.urdf"]
+    assert json.loads((out / "design.json").read_text())["iteration"] == 2
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["arm", "runs"]
+
+
+def test_a_folder_with_anything_else_in_it_is_left_alone(history: History, tmp_path: Path) -> None:
+    foreign = tmp_path / "thesis"
+    foreign.mkdir()
+    (foreign / "chapter.tex").write_text("years of work")
+    with pytest.raises(ExportError, match="holds other files"):
+        write_bundle(history, "best", foreign)
+    earlier = write_bundle(history, "best", tmp_path / "arm")
+    (earlier / "notes.txt").write_text("mine")
+    with pytest.raises(ExportError, match=r"notes\.txt"):
+        write_bundle(history, "1", earlier)
+    assert (foreign / "chapter.tex").read_text() == "years of work"
+    assert json.loads((earlier / "design.json").read_text())["iteration"] == 2
+
+
+def test_a_file_where_the_folder_should_be_is_left_alone(history: History, tmp_path: Path) -> None:
+    (tmp_path / "arm").write_text("mine")
+    with pytest.raises(ExportError, match="is no folder"):
+        write_bundle(history, "best", tmp_path / "arm")
+    with pytest.raises(ExportError, match="can't write"):
+        write_bundle(history, "best", tmp_path / "arm" / "b.zip")
+    assert (tmp_path / "arm").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["arm.zip", "arm"])
+def test_a_full_disk_leaves_the_earlier_export_and_no_debris(
+    history: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    out = write_bundle(history, "1", tmp_path / name)
+    before = out.read_bytes() if out.is_file() else (out / "design.json").read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ExportError, match="No space left"):
+        write_bundle(history, "best", out)
+    assert (out.read_bytes() if out.is_file() else (out / "design.json").read_bytes()) == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([name, "runs"])
