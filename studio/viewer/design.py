@@ -36,7 +36,7 @@ class DesignPanel:
         self.rows: dict[str, _Row] = {}
         self.note = gui.add_html(wording.paragraph(wording.dim("no data yet: press Start")))
         self.holder = gui.add_folder("Bounds and locks", visible=False)
-        self.apply: viser.GuiButtonHandle | None = None
+        self._buttons: tuple[viser.GuiButtonHandle, ...] = ()
 
     def clear(self) -> None:
         """Show no run."""
@@ -58,12 +58,12 @@ class DesignPanel:
                 else f"This run is {status}: its design can't be changed now."
             )
         )
-        if self.apply:
-            self.apply.visible = live
+        for button in self._buttons:
+            button.visible = live
         for p, value, initial in zip(space.parameters, phi, history.initial_phi, strict=True):
             row = self.rows[p.name]
             lock = ", locked" if p.locked_at is not None else ""
-            row.folder.label = f"{p.name}: {value:.3f} {p.unit}{lock} (initially {initial:.3g})"
+            row.folder.label = f"{p.name}: {value:.3f} {p.unit}{lock} (initially {initial:.3g} {p.unit})"
             if p != row.shown:
                 self._fill(row, p)
 
@@ -95,10 +95,11 @@ class DesignPanel:
             self._form = gui.add_form(None)
             with self._form:
                 self.rows = {p.name: self._row(p) for p in space.parameters}
-                self.apply = gui.add_button("Apply", icon=viser.Icon.CHECK, color="green")
+                apply = gui.add_button("Apply", icon=viser.Icon.CHECK, color="green")
                 reset = gui.add_button("Discard edits", icon=viser.Icon.ARROW_BACK_UP)
         form = self._form
-        self.apply.on_click(lambda _: form.submit())
+        self._buttons = (apply, reset)
+        apply.on_click(lambda _: form.submit())
         form.on_submit(lambda event: self._send(self.commands, event.client))
         reset.on_click(lambda _: self._discard())
         self._names = tuple(space.names)
@@ -113,16 +114,18 @@ class DesignPanel:
             )  # fmt: skip
             locked = gui.add_checkbox("locked", p.locked_at is not None, hint="hold it at the value below")
             value = gui.add_number(
-                f"at{unit}", p.initial if p.locked_at is None else p.locked_at, min=p.hard_lo, max=p.hard_hi, step=0.01
-            )
+                f"at{unit}", p.initial if p.locked_at is None else p.locked_at, min=p.hard_lo, max=p.hard_hi, step=0.01,
+                visible=p.locked_at is not None,
+            )  # fmt: skip
             row = _Row(folder, bounds, locked, value, p)
-        locked.on_update(lambda event: self._propose(p.name) if event.client else None)
+        locked.on_update(lambda event: self._propose(p.name, by_hand=event.client is not None))
         return row
 
-    def _propose(self, name: str) -> None:
-        """Offer the present value where somebody ticks a lock."""
+    def _propose(self, name: str, *, by_hand: bool) -> None:
+        """Ask for the value beside a ticked lock, and offer the present one to whoever ticks it."""
         row, space = self.rows[name], self._space
-        if space is not None and row.locked.value and row.shown.locked_at is None:
+        row.value.visible = row.locked.value
+        if by_hand and space is not None and row.locked.value and row.shown.locked_at is None:
             present = round(float(self._phi[space.index(name)]), 3)
             row.value.value = min(max(present, row.shown.lo), row.shown.hi)
 

@@ -164,7 +164,8 @@ class Player:
         position, target = camera(*take.box, _FIELD_OF_VIEW)
         start.fov, start.position, start.look_at = _FIELD_OF_VIEW, position, target
         for client in self._server.get_clients().values():
-            client.camera.position, client.camera.look_at = position, target
+            camera_of = client.camera
+            camera_of.fov, camera_of.position, camera_of.look_at = _FIELD_OF_VIEW, position, target
 
     def _instant(self) -> int:
         return min(round(self._time * FRAMES_PER_SECOND), self._take.frames - 1) if self._take else 0

@@ -106,9 +106,11 @@ class RunPanel:
     def _state(self, history: History, status: Status, message: str, iterations: int) -> str:
         beat = history.heartbeat
         live = status not in ENDED
-        stage = beat.stage if beat and live else ""
+        stage = beat.stage if beat and live and beat.stage != status else ""
         iteration = history.iteration
-        eta = f" · {wording.duration(beat.eta_seconds)} left" if beat and beat.eta_seconds and live else ""
+        eta = (
+            f" · {wording.duration(beat.eta_seconds)} left" if beat and beat.eta_seconds and status == "running" else ""
+        )
         lines = [f"{wording.badge(status)} {wording.text(stage)}"]
         if message and status not in ("failed", "lost", "unreadable"):
             lines.append(wording.text(message))

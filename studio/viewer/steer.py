@@ -1,14 +1,13 @@
 """The steering form: alpha and the projection rule of a running run."""
 
 import typing
-from collections.abc import Sequence
 
 import viser
 
 from morph_core.config import Projection, check_field
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, SetAlpha, SetProjection, Status
-from studio.viewer.run import ENDED, Send, log_of
+from morph_core.protocol import Acknowledged, AnyCommand, SetAlpha, SetProjection, Status
+from studio.viewer.run import ENDED, Send
 
 
 class SteerPanel:
@@ -16,7 +15,6 @@ class SteerPanel:
 
     def __init__(self, gui: viser.GuiApi, *, send: Send) -> None:
         self._in_force: tuple[float, str] | None = None
-        self.log = gui.add_html("", visible=False)
         self.form = gui.add_form("Algorithm", visible=False)
         with self.form:
             self.alpha = gui.add_number("α", 1.0, min=0.0, step=0.1, hint="Weight of the divergence in Eq. 2")
@@ -27,18 +25,12 @@ class SteerPanel:
 
     def clear(self) -> None:
         """Show no run."""
-        self.form.visible = self.log.visible = False
+        self.form.visible = False
 
-    def update(self, history: History, status: Status, pending: Sequence[AnyCommand]) -> None:
+    def update(self, history: History, status: Status) -> None:
         """Take over what is in force, once it changes: what somebody is editing stays as it is."""
         self.form.visible = status not in ENDED
-        self.log.content = log_of(history, status, pending)
-        self.log.visible = bool(self.log.content)
-        progress = history.progress[-1] if history.progress else None
-        config = history.record.config
-        alpha = progress.alpha if progress and progress.alpha is not None else config.get("alpha")
-        projection = progress.projection if progress and progress.projection else config.get("projection")
-        in_force = (float(alpha) if isinstance(alpha, int | float) else 1.0, str(projection))
+        in_force = _in_force(history)
         if in_force != self._in_force:
             self._in_force = in_force
             self.alpha.value = in_force[0]
@@ -53,3 +45,20 @@ class SteerPanel:
         in_force = self._in_force or (None, None)
         commands: list[AnyCommand] = [SetAlpha(alpha)] if alpha != in_force[0] else []
         return [*commands, SetProjection(projection)] if projection != in_force[1] else commands
+
+
+def _in_force(history: History) -> tuple[float, str]:
+    """Return alpha and the projection rule: what the last iteration used, or was accepted since."""
+    alpha, projection = history.record.config.get("alpha"), history.record.config.get("projection")
+    since = 0
+    if history.progress:
+        last = history.progress[-1]
+        alpha = alpha if last.alpha is None else last.alpha
+        projection, since = last.projection or projection, last.seq
+    for event in history.acknowledged:
+        match event:
+            case Acknowledged(accepted=True, command=SetAlpha(alpha=value)) if event.seq > since:
+                alpha = value
+            case Acknowledged(accepted=True, command=SetProjection(projection=rule)) if event.seq > since:
+                projection = rule
+    return float(alpha) if isinstance(alpha, int | float) else 1.0, str(projection)

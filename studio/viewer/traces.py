@@ -1,6 +1,7 @@
 """The traces: how return, success, gradients, divergence and phi went, iteration by iteration."""
 
 import re
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,10 @@ MOST_POINTS = 2000
 SERIES_COLOURS = ("#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5aa9e6", "#d0342c", "#7a828e")
 """Told apart on white and on black; the first ones also by most colour-blind people."""
 _HEIGHT = 118
+_ROWS_PER_SECOND = 1000
+"""Every update resends a whole chart: long runs are redrawn less often, ..."""
+_LONGEST_REST = 2.0
+"""... but at least once in so many seconds."""
 _FONT = "11px system-ui, sans-serif"
 _LOG = 3
 """uPlot's number of a logarithmic scale."""
@@ -41,16 +46,13 @@ class Trace:
 
 
 class TracesPanel:
-    """A docked column of charts."""
+    """A column of charts in `tab`."""
 
-    def __init__(self, gui: viser.GuiApi) -> None:
+    def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle) -> None:
         self._gui = gui
+        self._tab = tab
         self._charts: list[_Chart] = []
         self._parameters: tuple[str, ...] = ()
-        self.panel = gui.add_panel()
-        self._tab = self.panel.add_tab("Traces", viser.Icon.CHART_LINE)
-        self.panel.dock_left()
-        self.panel.set_width(390)
         with self._tab:
             self.note = gui.add_html("", order=0)
         self._charts = [_Chart(gui, self._tab, trace, order) for order, trace in _TRACES.items()]
@@ -96,13 +98,16 @@ class _Chart:
             self._note = gui.add_html("", order=order, visible=False)
         self._order = order
         self._shown: tuple[str, int, float] | None = None
+        self._updated = 0.0
 
     def update(self, history: History) -> None:
         rows = max(len(history.progress), len(history.evaluations))
         state = (history.record.id, rows, history.events[-1].time if history.events else 0.0)
-        if state == self._shown:
+        now = time.monotonic()
+        rest = min(_LONGEST_REST, rows / _ROWS_PER_SECOND)
+        if state == self._shown or (self._shown and self._shown[0] == state[0] and now - self._updated < rest):
             return
-        self._shown = state
+        self._shown, self._updated = state, now
         curves = decimate(self.trace.curves(history), MOST_POINTS)
         if not len(curves[0]):
             self._say(self.trace.empty)

@@ -71,12 +71,15 @@ class Viewer:
         self.tabs = gui.add_tab_group()
         with self.tabs.add_tab("Run", viser.Icon.ACTIVITY):
             self.run = RunPanel(gui, send=self._send, on_resume=self._resume)
-        with self.tabs.add_tab("Steer", viser.Icon.ADJUSTMENTS):
-            self.steer = SteerPanel(gui, send=self._send)
-            self.design = DesignPanel(gui, send=self._send)
         with self.tabs.add_tab("Export", viser.Icon.DOWNLOAD):
             self.export = ExportPanel(gui, on_download=self._download)
-        self.traces = TracesPanel(gui)
+        left = gui.add_panel()
+        left.dock_left()
+        left.set_width(390)
+        self.traces = TracesPanel(gui, left.add_tab("Traces", viser.Icon.CHART_LINE))
+        with left.add_tab("Steer", viser.Icon.ADJUSTMENTS):
+            self.steer = SteerPanel(gui, send=self._send)
+            self.design = DesignPanel(gui, send=self._send)
         self.player = Player(server, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
         self.timeline = TimelinePanel(
             gui, self.player, on_choice=self._refresh, on_inject=self._inject, on_refusal=self.refuse
@@ -209,7 +212,7 @@ class Viewer:
             pending = [command for command, _ in self._pending.get(run_id, [])]
             self.run.show_visible(True)
             self.run.update(history, status, message, pending)
-            self.steer.update(history, status, pending)
+            self.steer.update(history, status)
             self.design.update(history, status)
             self.export.update(history)
             self.traces.update(history)
@@ -237,7 +240,7 @@ class Viewer:
     def _list_runs(self) -> None:
         ids = {*self._histories, *self._statuses, *([self._selected] if self._selected else [])}
         self._labels = {
-            run_id: f"{run_id} · {self._statuses.get(run_id, ('starting', ''))[0]}"
+            run_id: f"{self._statuses.get(run_id, ('starting', ''))[0]} · {run_id}"
             for run_id in sorted(ids, reverse=True)
         }
         options = (NEW_RUN, *self._labels.values())
