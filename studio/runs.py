@@ -399,8 +399,6 @@ class Runs:
                 history = History(folder)
             else:
                 history.poll()
-            if history.record.id != folder.id:
-                raise RunFolderError(f"run.json of {folder.id} names another run: {history.record.id[:80]!r}")
         except (ValueError, OSError) as error:  # foreign parameters, a directory where a file belongs, no permission
             reason = str(error) if isinstance(error, RunFolderError) else f"{folder.id} can't be read: {error}"
             self._unreadable[folder.id] = changed, reason
@@ -446,6 +444,10 @@ class Runs:
         if not states or states[-1].status not in ENDED:
             return None
         record, beat = folder.record(), folder.heartbeat()
+        try:
+            DesignSpace(tuple(record.parameters))
+        except ValueError:
+            return None  # unreadable: `get` says why
         line = Summary(
             id=folder.id,
             status=states[-1].status,

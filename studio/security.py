@@ -1,13 +1,16 @@
 """Whom the server lets in, on every route and websocket: the name it is called by, the page that asks, the token."""
 
 import base64
+import contextlib
 import hashlib
 import hmac
 import html
+import os
 import secrets
 import threading
 from collections.abc import Callable, Iterable
 from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -40,9 +43,10 @@ class Access:
         self.hosts = _allowed_names(settings)
         # Cookies don't tell ports apart: two servers on one machine need two names.
         self.cookie_name = f"morph_studio_{settings.port}"
-        self._token = settings.token or secrets.token_urlsafe(32)
-        self._one_time = settings.token is None
-        self._ticket = self._token if settings.token else secrets.token_urlsafe(24)
+        self._token = settings.token
+        self._ticket = settings.token or secrets.token_urlsafe(24)
+        key = settings.token.encode() if settings.token else kept_key(settings.state)
+        self._cookie = hmac.new(key, b"morph-studio cookie", hashlib.sha256).hexdigest()
         self._lock = threading.Lock()
         self.on_ticket_used: Callable[[], None] = lambda: None
         """Called after the one-time ticket was used: `ticket` is a new one then."""
@@ -54,30 +58,30 @@ class Access:
 
     @property
     def cookie(self) -> str:
-        """The cookie's value; it says nothing about the token and outlives a restart with the same token."""
-        return hmac.new(self._token.encode(), b"morph-studio cookie", hashlib.sha256).hexdigest()
+        """The cookie's value; it does not tell the token."""
+        return self._cookie
 
     def redeem(self, ticket: str) -> bool:
         """Tell whether `ticket` lets a browser in; a one-time ticket is void afterwards."""
         with self._lock:
             if not _same(ticket, self._ticket):
                 return False
-            if self._one_time:
-                self._ticket = secrets.token_urlsafe(24)
-        if self._one_time:
-            self.on_ticket_used()
+            if self._token is not None:
+                return True
+            self._ticket = secrets.token_urlsafe(24)
+        self.on_ticket_used()
         return True
 
     def knows(self, headers: Headers) -> bool:
-        """Tell whether the request carries the cookie or the token."""
+        """Tell whether the request carries the cookie, or the token where one was given."""
         scheme, _, bearer = headers.get("authorization", "").partition(" ")
-        if scheme.lower() == "bearer" and _same(bearer.strip(), self._token):
+        if self._token is not None and scheme.lower() == "bearer" and _same(bearer.strip(), self._token):
             return True
         try:
             morsel = SimpleCookie(headers.get("cookie", "")).get(self.cookie_name)
         except CookieError:
             return False
-        return morsel is not None and _same(morsel.value, self.cookie)
+        return morsel is not None and _same(morsel.value, self._cookie)
 
     def refusal(self, headers: Headers) -> str | None:
         """Return why Host or Origin are wrong, or None. A missing Origin is the caller's to judge."""
@@ -166,6 +170,25 @@ class Guard:
             await send({"type": "websocket.http.response.body", "body": b""})
         else:
             await send({"type": "websocket.close", "code": 4000 + status})
+
+
+def kept_key(folder: Path) -> bytes:
+    """Return the key of this user's cookies, made on first use; one for this start only where it can't be kept."""
+    path, fresh = folder / "cookie-key", secrets.token_bytes(32)
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        with contextlib.suppress(FileExistsError), open(path, "xb", opener=_private) as file:
+            file.write(fresh)
+        with path.open("rb") as file:
+            status, key = os.fstat(file.fileno()), file.read(64)
+    except OSError:
+        return fresh
+    private = status.st_uid == os.getuid() and not status.st_mode & 0o077
+    return key if private and len(key) == len(fresh) else fresh
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)
 
 
 def _allowed_names(settings: Settings) -> frozenset[str]:

@@ -25,6 +25,10 @@ def _hosts() -> tuple[str, ...]:
     return tuple(name.strip() for name in os.environ.get("MORPH_HOSTS", "").split(",") if name.strip())
 
 
+def _state() -> Path:
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "morph-studio"
+
+
 @dataclass(frozen=True)
 class Settings:
     """Raises ValueError with a sentence on what can't be served safely. Unset fields come from the environment."""
@@ -39,6 +43,8 @@ class Settings:
     """MORPH_TOKEN. What browsers and API clients must know; without one, a link made at the start lets a browser in."""
     hosts: tuple[str, ...] = field(default_factory=_hosts)
     """MORPH_HOSTS, comma-separated. Further names under which this server is reached, e.g. behind a proxy."""
+    state: Path = field(default_factory=_state)
+    """Where the key behind the cookie lies, so that an open page survives a restart of the server."""
     open_browser: bool = True
     """Open the page once the server is up."""
 

@@ -1,0 +1,206 @@
+"""Run folders, a stand-in trainer and a real server for the studio's tests."""
+
+import contextlib
+import dataclasses
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+import uvicorn
+import viser
+from fastapi import FastAPI
+
+from morph_core.history import History
+from morph_core.protocol import Evaluation, Progress, RunRecord, StateChanged, Status
+from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_rollout
+from morph_core.tasks import make_task
+from studio.app import create_app
+from studio.bridge import MAX_MESSAGE
+from studio.runs import Runs
+from studio.settings import Settings
+
+ROOT = Path(__file__).parents[2]
+TOKEN = "a-token-of-the-tests"
+
+STAND_IN = """
+import os, sys, time
+import psutil
+from pathlib import Path
+from morph_core.protocol import Acknowledged, Heartbeat, Pause, Resume, StateChanged, Stop
+from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, hold
+
+folder, mood = RunFolder(Path(sys.argv[1])), sys.argv[2]
+if mood == "stillborn":
+    raise ImportError("no module named torch, says the stand-in")
+with hold(folder):
+    log, heart = EventLog(folder), HeartbeatFile(folder)
+    def beat(status):
+        heart.write(Heartbeat(os.getpid(), psutil.Process().create_time(), time.time(), status, "collecting", 2, 100))
+    status = "running"
+    log.append(StateChanged(status="starting", iteration=0))
+    log.append(StateChanged(status=status, iteration=0))
+    beat(status)
+    if mood == "dying":
+        raise FloatingPointError("loss is NaN, says the stand-in")
+    while status != "stopped":
+        for path, order in folder.pending():
+            path.unlink()
+            status = {Pause: "paused", Resume: "running", Stop: "stopped"}.get(type(order.command), status)
+            log.append(Acknowledged(id=order.id, iteration=2, accepted=True, command=order.command))
+            log.append(StateChanged(status=status, iteration=2))
+        beat(status)
+        time.sleep(0.02)
+"""
+
+
+def stand_in(folder: RunFolder, *, further: int | None = None, mood: str = "healthy") -> subprocess.Popen[bytes]:
+    """Start a process that keeps the trainer's side of the run folder, and learns nothing."""
+    del further
+    with (folder.path / "trainer.log").open("ab") as log:
+        return subprocess.Popen(
+            [sys.executable, "-c", STAND_IN, str(folder.path), mood],
+            stdout=log, stderr=log, cwd=ROOT, start_new_session=True,
+        )  # fmt: skip
+
+
+def in_mood(mood: str) -> Callable[..., subprocess.Popen[bytes]]:
+    """Return a `spawn` whose stand-ins are stillborn or dying."""
+    return lambda folder, *, further=None: stand_in(folder, further=further, mood=mood)
+
+
+def make_run(runs: Path, name: str = "20260101-000000-reacher-morph-s0", ended: Status | None = "stopped") -> RunFolder:
+    """Return a run folder with three iterations, an evaluation and a rollout; without `ended`, before its start."""
+    task = make_task("reacher")
+    record = RunRecord(
+        id=name, task="reacher", method="morph", seed=0, iterations=100, config=dataclasses.asdict(task.config),
+        parameters=list(task.design_space.parameters), versions={"python": "3"}, created=time.time(),
+    )  # fmt: skip
+    folder = create_run(runs, record)
+    if ended is None:
+        return folder
+    log = EventLog(folder)
+    log.append(StateChanged(status="starting", iteration=0))
+    for i in (1, 2, 3):
+        phi = [3.0 - 0.1 * i] * 5
+        log.append(
+            Progress(iteration=i, env_steps=100 * i, phi=phi, episode_return=-1.0, success=0.1 * i, policy_std=0.5)
+        )
+    rollout = write_rollout(folder, 3, {"qpos": np.zeros((4, 5)), "phi": np.full(5, 2.7)})
+    log.append(
+        Evaluation(
+            iteration=3, env_steps=300, phi=[2.7] * 5, sampled_success=0.5, sampled_return=0.0,
+            deterministic_success=0.25, deterministic_return=0.0, rollout=rollout,
+        )
+    )  # fmt: skip
+    log.append(StateChanged(status=ended, iteration=3, message="as asked"))
+    log.close()
+    return folder
+
+
+def eventually(claim: Callable[[], object], seconds: float = 10.0) -> object:
+    """Return the first true value of `claim`, or its last value after `seconds`."""
+    deadline = time.monotonic() + seconds
+    while not (value := claim()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return value
+
+
+@dataclass
+class Blackboard:
+    """A viewer that writes down what it is shown; `broken` makes it raise."""
+
+    server: viser.ViserServer
+    runs: Runs
+    shown: list[tuple[list[str], dict[str, tuple[Status, str]], str | None]] = field(default_factory=list)
+    broken: bool = False
+    selected: str | None = None
+
+    def show(
+        self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
+    ) -> None:
+        if self.broken:
+            raise RuntimeError("the viewer is broken, says the test")
+        self.selected = current
+        self.shown.append((list(histories), dict(statuses), current))
+
+    def stop(self) -> None:
+        self.shown.append(([], {}, None))
+
+
+@dataclass
+class Served:
+    """A running server, and a client that knows its token."""
+
+    app: FastAPI
+    port: int
+    client: httpx.Client
+    viewers: list[Blackboard]
+
+    @property
+    def viewer(self) -> Blackboard:
+        return self.viewers[0]
+
+    @property
+    def runs(self) -> Runs:
+        return self.app.state.runs
+
+
+@contextlib.contextmanager
+def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = stand_in) -> Iterator[Served]:
+    """Serve the real application on a free port; end the stand-ins it has started."""
+    viewers: list[Blackboard] = []
+
+    def viewer(server: viser.ViserServer, runs: Runs) -> Blackboard:
+        viewers.append(Blackboard(server, runs))
+        return viewers[0]
+
+    listener = socket.create_server(("127.0.0.1", 0))
+    port = listener.getsockname()[1]
+    app = create_app(settings, runs=Runs(settings.runs, spawn), viewer=viewer)
+    config = uvicorn.Config(app, log_level="error", ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1)
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+    thread.start()
+    assert eventually(lambda: server.started)
+    headers = {"Authorization": f"Bearer {TOKEN}"}
+    try:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=headers, timeout=20) as client:
+            yield Served(app, port, client, viewers)
+    finally:
+        server.should_exit = True
+        thread.join(10)
+        end_trainers(settings.runs)
+
+
+def end_trainers(runs: Path) -> None:
+    for name in list_runs(runs):
+        beat = RunFolder(runs / name).heartbeat()
+        if beat and process_alive(beat.pid, beat.process_started):
+            os.kill(beat.pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def runs_folder(tmp_path: Path) -> Iterator[Path]:
+    yield tmp_path / "runs"
+    end_trainers(tmp_path / "runs")
+
+
+@pytest.fixture
+def settings(runs_folder: Path, tmp_path: Path) -> Settings:
+    return Settings(port=0, runs=runs_folder, token=TOKEN, hosts=(), state=tmp_path / "state")
+
+
+@pytest.fixture
+def served(settings: Settings) -> Iterator[Served]:
+    with serving(settings) as running:
+        yield running
