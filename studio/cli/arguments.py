@@ -76,15 +76,18 @@ def _check_options(kind: type, words: Sequence[str]) -> None:
 
 
 def _one_line(box: str) -> str:
-    """Return what an error box says, without its frame, its title and the help that follows its rule."""
-    said = []
-    for line in box.splitlines():
-        text = re.sub(r"[╭╮╰╯│]", "", line).strip()
-        if said and re.fullmatch("─+", text):
-            break
-        if not text.startswith("─"):
-            said.append(text)
-    message = " ".join(said)
+    """Return what an error box says, without its frame, its title and the help that follows its rule.
+
+    The title stands in the frame or, where the terminal can't show one, above a first rule.
+    """
+    lines = [re.sub(r"[╭╮╰╯│]", "", line).strip() for line in box.splitlines()]
+    sections: list[list[str]] = [[]]
+    for line in lines:
+        if re.match(r"─|-+$", line):
+            sections.append([])
+        else:
+            sections[-1].append(line)
+    message = " ".join(sections[1] if len(sections) > 1 else sections[0]).strip()
     for pattern, plain in _PLAIN:
         message = re.sub(pattern, plain, message)
     return message or "the arguments can't be read; see --help"
