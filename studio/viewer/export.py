@@ -63,7 +63,7 @@ class ExportPanel:
         self.download.disabled = True
         try:
             self._on_download(which, client)
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             self.tell(str(error))
         else:
             self.tell(None)

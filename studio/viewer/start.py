@@ -121,7 +121,7 @@ class StartPanel:
         self.start.disabled = True
         try:
             self._on_start(request, client)
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             self.tell(str(error))
         else:
             self.tell(None)

@@ -52,7 +52,7 @@ class TimelinePanel:
                 "Continue from this design", icon=viser.Icon.GIT_BRANCH,
                 hint="The running run takes this φ as its design from the next iteration on",
             )  # fmt: skip
-        self.follow.on_update(lambda event: self._choose(event.client) if event.client else None)
+        self.follow.on_update(lambda event: on_choice() if event.client else None)
         self.iteration.on_update(lambda event: self._pick(event.client) if event.client else None)
         self.recorded.on_click(lambda event: self._jump(event.target.value))
         self.play.on_click(lambda _: self.toggle_playback())
@@ -133,15 +133,11 @@ class TimelinePanel:
         hint = f" (the nearest one is of iteration {nearest})" if nearest is not None else " yet"
         return f"design of iteration {shown}, in its start posture: no episode was recorded{hint}"
 
-    def _choose(self, client: viser.ClientHandle | None) -> None:
-        del client
-        self._on_choice()
-
     def _pick(self, client: viser.ClientHandle | None) -> None:
         value = self.iteration.value
         if not 0 <= value <= self._latest:
-            self._on_refusal(f"there is no iteration {value}; choose 0 to {self._latest}", client)
             self.iteration.value = min(self.shown_iteration if self.follow.value else 0, int(self.iteration.max))
+            self._on_refusal(f"there is no iteration {value}; choose 0 to {self._latest}", client)
             return
         self.follow.value = False
         self._on_choice()
@@ -172,9 +168,10 @@ class TimelinePanel:
     def _set_speed(self, client: viser.ClientHandle | None) -> None:
         value = self.speed.value
         if not SPEEDS[0] <= value <= SPEEDS[1]:
-            self._on_refusal(f"the speed must lie inside [{SPEEDS[0]:g}, {SPEEDS[1]:g}] ×, not {value:g}", client)
             self.speed.value = 1.0
-            value = 1.0
+            self._player.set_speed(1.0)
+            self._on_refusal(f"the speed must lie inside [{SPEEDS[0]:g}, {SPEEDS[1]:g}] ×, not {value:g}", client)
+            return
         self._player.set_speed(value)
 
     def _chosen_phi(self) -> list[float]:

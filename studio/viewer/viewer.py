@@ -145,7 +145,7 @@ class Viewer:
                 self._on_command(run_id, command)
                 with self._lock:
                     self._pending.setdefault(run_id, []).append((command, answered))
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             self.refuse(str(error), client)
             return
         self.tell(None if wanted else "nothing was changed: nothing to apply")
@@ -161,7 +161,7 @@ class Viewer:
             return
         try:
             self._on_resume(run_id)
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             self.refuse(str(error), client)
         else:
             self.tell(None)
