@@ -170,7 +170,12 @@ def _replace_folder(out: Path, files: dict[str, bytes]) -> None:
             _write(draft / "new" / path, content)
         if out.exists():
             out.rename(draft / "old")
-        (draft / "new").rename(out)
+        try:
+            (draft / "new").rename(out)
+        except OSError:
+            if (draft / "old").exists():
+                (draft / "old").rename(out)
+            raise
 
 
 def _write(path: Path, content: bytes) -> None:

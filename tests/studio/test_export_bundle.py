@@ -212,3 +212,20 @@ def test_a_full_disk_leaves_the_earlier_export_and_no_debris(
         write_bundle(history, "best", out)
     assert (out.read_bytes() if out.is_file() else (out / "design.json").read_bytes()) == before
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([name, "runs"])
+
+
+def test_a_replacement_that_fails_half_way_puts_the_earlier_export_back(
+    history: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = write_bundle(history, "1", tmp_path / "arm")
+    rename = Path.rename
+
+    def failing(self: Path, target: Path) -> Path:
+        if self.name == "new":
+            raise OSError(5, "Input/output error")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    with pytest.raises(ExportError, match="Input/output error"):
+        write_bundle(history, "best", out)
+    assert json.loads((out / "design.json").read_text())["iteration"] == 1
