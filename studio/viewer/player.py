@@ -176,11 +176,12 @@ class Player:
             return
         frame = self._instant()
         lit = (bool(take.goal_touched[frame]), int(take.touched[frame]))
-        self._robot.pose(frame)
-        if lit != self._lit:
-            self._scenery.paint(take.scenery_colours(frame))
-            self._lit = lit
-        self._mark(take.contact[frame], take)
+        with self._server.atomic():  # arm, lit wall and contact marker belong to one instant
+            self._robot.pose(frame)
+            if lit != self._lit:
+                self._scenery.paint(take.scenery_colours(frame))
+                self._lit = lit
+            self._mark(take.contact[frame], take)
 
     def _mark(self, point: np.ndarray, take: Take) -> None:
         """Put the contact marker at a point (3,), or away if it is NaN."""

@@ -147,7 +147,7 @@ class Ruler:
             label.visible = False
 
 
-def camera(low: np.ndarray, high: np.ndarray, fov: float, aspect: float = 0.75) -> tuple[np.ndarray, np.ndarray]:
+def camera(low: np.ndarray, high: np.ndarray, fov: float, aspect: float = 0.72) -> tuple[np.ndarray, np.ndarray]:
     """Return position (3,) and target (3,) of a camera that frames the box: from above if flat, else from the side.
 
     `fov` is the vertical one in radians; `aspect` is width / height of the free part of the page.

@@ -47,6 +47,7 @@ class StartPanel:
         config = make_task(first).config
         self.folder = gui.add_folder("New run")
         with self.folder:
+            self.notice = gui.add_html("", visible=False)
             self.task = gui.add_dropdown("task", list(TASKS), initial_value=first, hint="What the robot has to do.")
             self.options = {name: self._add_options(gui, name) for name in TASKS}
             self.method = gui.add_dropdown(
@@ -70,7 +71,6 @@ class StartPanel:
                 hint="How the hardware's output z is explored.",
             )  # fmt: skip
             self.start = gui.add_button("Start", color="green", icon=viser.Icon.PLAYER_PLAY)
-            self.notice = gui.add_html("", visible=False)
         self.start.on_click(lambda event: self.submit(event.client))
         self.task.on_update(lambda _: self._choose_task())
         for handles in self.options.values():
@@ -129,7 +129,7 @@ class StartPanel:
             self.start.disabled = False
 
     def tell(self, sentence: str | None, colour: str = wording.RED) -> None:
-        """Show a sentence under the button, or none."""
+        """Show a sentence above the form, where it is in sight, or none."""
         self.notice.visible = sentence is not None
         self.notice.content = wording.alert(sentence, colour) if sentence else ""
 

@@ -82,7 +82,7 @@ class TimelinePanel:
         self._latest = history.iteration
         self._recorded = [e.iteration for e in history.evaluations if e.rollout]
         self.iteration.max = max(self._latest, 1)
-        for handle in (self.follow, self.iteration, self.recorded):
+        for handle in (self.follow, self.iteration, self.recorded, self.ghost, self.trail):
             handle.visible = True
         if self.follow.value or self.iteration.value > self.iteration.max:
             self.iteration.value = min(self.shown_iteration, self.iteration.max)
@@ -92,7 +92,7 @@ class TimelinePanel:
     def clear(self, sentence: str) -> None:
         """Show no run."""
         self._history, self._recorded, self._latest = None, [], 0
-        for handle in (self.follow, self.iteration, self.recorded, self.inject):
+        for handle in (self.follow, self.iteration, self.recorded, self.ghost, self.trail, self.inject):
             handle.visible = False
         self.what.content = wording.paragraph(wording.text(sentence))
 

@@ -61,7 +61,7 @@ class Viewer:
         self._pending: dict[str, list[tuple[AnyCommand, int]]] = {}
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(47, 127, 209))
-        gui.set_panel_label("MORPH Studio")
+        gui.set_panel_label("Run and playback")
         light_up(server)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(350)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import viser
 from conftest import eventually, make_run
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 
 from morph_core.history import History
 from morph_core.protocol import (
@@ -119,7 +120,7 @@ def wire(page: Page) -> Iterator[Callable[[viser.GuiInputHandle, object], None]]
         )
 
 
-def _send(socket: ClientConnection, message: dict[str, object]) -> None:
+def _send(socket: Connection, message: dict[str, object]) -> None:
     socket.send(msgspec.msgpack.encode(message))
 
 
@@ -402,7 +403,7 @@ def test_a_lock_is_shown_and_undone(page: Page, folder: RunFolder) -> None:
     row = page.viewer.design.rows["link_3"]
     assert row.locked.value
     assert row.value.value == 1.5
-    assert "locked" in row.folder.label
+    assert "locked" in str(row.folder.label)
     row.locked.value = False
     _submit_design(page)
     assert page.commands == [(NAME, Unlock("link_3"))]
@@ -441,7 +442,7 @@ def test_what_somebody_edits_survives_the_next_update(page: Page, folder: RunFol
     append(folder, progress(4))
     page.show(folder, "running")
     assert page.viewer.design.rows["link_2"].bounds.value == (0.5, 3.0)
-    assert page.viewer.design.rows["link_2"].folder.label.startswith("link_2: 2.000 m")
+    assert str(page.viewer.design.rows["link_2"].folder.label).startswith("link_2: 2.000 m")
 
 
 def test_a_refused_command_is_told_and_changes_nothing(page: Page, folder: RunFolder) -> None:
