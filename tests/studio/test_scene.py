@@ -133,7 +133,7 @@ def test_capsules_keep_their_length_and_radius_whatever_their_aspect(
     layer = Layer(server, "aspect")
     layer.show(Figure.from_model(model, model.qpos0[None]))
     batch = next(batch for batch in layer._batches.values() if batch.handle.visible)
-    half = (batch.handle.vertices * batch.handle.batched_scales[0]).max(0)
+    half = (batch.handle.vertices * np.asarray(batch.handle.batched_scales)[0]).max(0)
     np.testing.assert_allclose(half, [0.06, 0.06, half_length + 0.06], rtol=1e-2)
 
 
