@@ -38,6 +38,7 @@ from morph_core.protocol import (
     Unlock,
 )
 from morph_core.run_folder import (
+    ENDED,
     RunFolder,
     RunFolderError,
     create_run,
@@ -45,11 +46,10 @@ from morph_core.run_folder import (
     list_runs,
     new_run_id,
     process_alive,
+    still_beating,
 )
 from morph_core.tasks import make_task
 
-ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
-"""What a trainer says last."""
 MAX_ITERATIONS = 1_000_000
 WATCHED = 20
 """How many of the newest runs the viewer is offered, beside those that run and the one it shows."""
@@ -363,19 +363,15 @@ class Runs:
             state, beat = history.state, history.heartbeat
             spoken = state is not None and state.time >= child.spawned and state.status in ENDED
             # Refused because another trainer holds the folder: then it is not this one's death that counts.
-            other = (
-                beat is not None
-                and beat.pid != child.process.pid
-                and (process_alive(beat.pid, beat.process_started) or beat.time > child.spawned)
-            )
+            other = beat is not None and beat.pid != child.process.pid and still_beating(beat)
             if not spoken and not other:
                 self._verdicts[run_id] = _Verdict(time.time(), _cause(code, history.folder, child.log_start))
             return
         beat = history.heartbeat
-        if beat is None or history.status in ENDED:
+        if beat is None or beat.host != platform.node() or history.status in ENDED:
             return
         process = (beat.pid, beat.process_started)
-        if process_alive(*process):  # adopted, or started by someone else on this machine
+        if process_alive(*process):  # adopted, or started by someone else
             self._seen_alive[run_id] = process
             self._verdicts.pop(run_id, None)
         elif self._seen_alive.get(run_id) == process:

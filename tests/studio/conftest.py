@@ -33,7 +33,7 @@ ROOT = Path(__file__).parents[2]
 TOKEN = "a-token-of-the-tests"
 
 STAND_IN = """
-import os, sys, time
+import os, platform, sys, time
 import psutil
 from pathlib import Path
 from morph_core.protocol import Acknowledged, Heartbeat, Pause, Resume, StateChanged, Stop
@@ -45,7 +45,7 @@ if mood == "stillborn":
 with hold(folder):
     log, heart = EventLog(folder), HeartbeatFile(folder)
     def beat(status):
-        heart.write(Heartbeat(os.getpid(), psutil.Process().create_time(), time.time(), status, "collecting", 2, 100))
+        heart.write(Heartbeat(platform.node(), os.getpid(), psutil.Process().create_time(), time.time(), status, "collecting", 2, 100))
     status = "running"
     log.append(StateChanged(status="starting", iteration=0))
     log.append(StateChanged(status=status, iteration=0))

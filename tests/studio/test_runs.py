@@ -96,7 +96,7 @@ def test_a_bad_wish_is_refused_in_words_and_leaves_nothing(
     runs_folder: Path, wish: dict[str, Any], sentence: str
 ) -> None:
     with pytest.raises(ValueError, match=sentence):
-        prepare_run(runs_folder, **({"task": "reacher"} | wish))
+        prepare_run(runs_folder, **{"task": "reacher", **wish})
     assert not runs_folder.exists()
 
 
