@@ -16,9 +16,7 @@ from morph_core.protocol import (
     StateChanged,
     Status,
 )
-from morph_core.run_folder import LOST_AFTER, RunFolder, RunFolderError, process_alive
-
-ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
+from morph_core.run_folder import ENDED, LOST_AFTER, RunFolder, RunFolderError, still_beating
 
 
 class History:
@@ -70,8 +68,7 @@ class History:
         beat = self.heartbeat
         if beat is None:
             return status if time.time() - self.record.created < LOST_AFTER else "lost"
-        alive = process_alive(beat.pid, beat.process_started) or 0 <= time.time() - beat.time < LOST_AFTER
-        if not alive:
+        if not still_beating(beat):
             return beat.status if beat.status in ENDED else "lost"
         return beat.status if beat.status != "starting" else status
 

@@ -194,7 +194,9 @@ AnyEvent = StateChanged | Progress | Evaluation | Acknowledged | DesignSpaceChan
 class Heartbeat(msgspec.Struct, frozen=True):
     """What the trainer does right now; rewritten every second."""
 
+    host: str
     pid: int
+    """On that host."""
     process_started: float
     """Start time of that process (seconds since the epoch), so that a reused pid is not taken for it."""
     time: float

@@ -4,8 +4,10 @@ import contextlib
 import fcntl
 import io
 import os
+import platform
 import re
 import time
+import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +17,13 @@ import numpy as np
 import psutil
 
 from morph_core import protocol
-from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Order, RunRecord
+from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Order, RunRecord, Status
 
 HEARTBEAT_BYTES = 4096
 """The heartbeat is rewritten in place at this size, so that it needs no new block on a full disk."""
 LOST_AFTER = 10.0
-"""Seconds without a heartbeat after which a run whose process can't be seen counts as lost."""
+"""Seconds without a heartbeat after which a run on another host counts as lost."""
+ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -97,9 +100,7 @@ class RunFolder:
     def trainer_alive(self) -> bool:
         """Tell whether a trainer holds this folder: its process is there, or its heartbeat still moves."""
         beat = self.heartbeat()
-        if beat is None or beat.status in ("stopped", "finished", "failed"):
-            return False
-        return process_alive(beat.pid, beat.process_started) or 0 <= time.time() - beat.time < LOST_AFTER
+        return beat is not None and beat.status not in ENDED and still_beating(beat)
 
     def checkpoint_iterations(self) -> list[int]:
         """Return the iterations of whole checkpoints, ascending; half-written ones have another name."""
@@ -141,6 +142,13 @@ class RunFolder:
                 yield path, protocol.decode_order(path.read_bytes())
             except (OSError, msgspec.DecodeError):
                 yield path, None
+
+
+def still_beating(beat: Heartbeat) -> bool:
+    """Tell whether the heartbeat's process is there, or, seen from another host, whether the heartbeat still moves."""
+    if beat.host == platform.node():
+        return process_alive(beat.pid, beat.process_started)
+    return 0 <= time.time() - beat.time < LOST_AFTER
 
 
 def process_alive(pid: int, started: float) -> bool:
@@ -269,7 +277,9 @@ class HeartbeatFile:
         self._fd = os.open(folder.path / "heartbeat.json", os.O_RDWR | os.O_CREAT, 0o644)
 
     def write(self, beat: Heartbeat) -> None:
-        os.pwrite(self._fd, protocol.encode(beat).ljust(HEARTBEAT_BYTES)[:HEARTBEAT_BYTES], 0)
+        while len(text := protocol.encode(beat)) > HEARTBEAT_BYTES:
+            beat = msgspec.structs.replace(beat, message=beat.message[: len(beat.message) // 2])
+        os.pwrite(self._fd, text.ljust(HEARTBEAT_BYTES), 0)
 
     def close(self) -> None:
         os.close(self._fd)
@@ -291,5 +301,5 @@ def read_rollout(folder: RunFolder, iteration: int) -> dict[str, np.ndarray]:
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
         raise RunFolderError(f"{folder.id} has no rollout of iteration {iteration}") from None
-    except (OSError, ValueError, EOFError, KeyError) as error:
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise RunFolderError(f"rollout {iteration} of {folder.id} can't be read: {error}") from error

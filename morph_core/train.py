@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import os
+import platform
 import signal
 import sys
 import threading
@@ -114,8 +115,8 @@ class Trainer:
         eta = float(np.mean(self._durations)) * remaining if self._durations else None
         self._heartbeat.write(
             Heartbeat(
-                pid=os.getpid(), process_started=self._process_started, time=time.time(), status=self._status,
-                stage=self._stage, iteration=self._iteration, iterations=self._last, env_steps=self._env_steps,
+                host=platform.node(), pid=os.getpid(), process_started=self._process_started,
+                time=time.time(), status=self._status, stage=self._stage, iteration=self._iteration, iterations=self._last, env_steps=self._env_steps,
                 eta_seconds=eta, message=self._message,
             )
         )  # fmt: skip

@@ -1,6 +1,10 @@
 """Settings for all tests."""
 
+import os
+
 import hypothesis
+
+os.environ["OMP_NUM_THREADS"] = "1"  # before torch loads: idle threads that spin slow everything down on two cores
 
 hypothesis.settings.register_profile("studio", deadline=None)  # the first example pays for imports and caches
 hypothesis.settings.load_profile("studio")

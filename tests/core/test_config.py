@@ -18,7 +18,7 @@ def test_settings_override_the_given_defaults() -> None:
 
 
 def test_unknown_field_lists_the_choices() -> None:
-    with pytest.raises(ValueError, match='unknown config field "alhpa"; choose from: .*alpha'):
+    with pytest.raises(ValueError, match=r"unknown config field \"alhpa\"; choose from: .*alpha"):
         config_from({"alhpa": 1.0})
 
 

@@ -68,5 +68,5 @@ def test_unknown_names_list_the_choices() -> None:
 
 @pytest.mark.parametrize("phi", [[1.0], [1.0, 0.0, 0.0], [1.0, math.nan], [5.0, 0.0]])
 def test_check_refuses_what_is_no_design(phi: list[float]) -> None:
-    with pytest.raises(ValueError, match="phi|angle|length"):
+    with pytest.raises(ValueError, match=r"phi|angle|length"):
         SPACE.check(phi)

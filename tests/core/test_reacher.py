@@ -1,5 +1,7 @@
 """The reacher: exact contact, swept moves, honest starts."""
 
+import itertools
+
 import mujoco
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ def brute_depth(tunnel_name: str, outline: np.ndarray) -> float:
     """Return the depth of one outline (P, 2) by sampling every link densely."""
     tunnel = TUNNELS[tunnel_name]
     along = np.linspace(0, 1, 4001)[:, None]
-    points = np.concatenate([p + along * (q - p) for p, q in zip(outline[:-1], outline[1:], strict=True)])
+    points = np.concatenate([p + along * (q - p) for p, q in itertools.pairwise(outline)])
     inside = points[(points[:, 0] >= tunnel.xs[0]) & (points[:, 0] <= tunnel.xs[-1])]
     centre = np.interp(inside[:, 0], tunnel.xs, tunnel.ys)
     return float((np.abs(inside[:, 1] - centre) - tunnel.gap / 2).max(initial=-np.inf))

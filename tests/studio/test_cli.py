@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -234,7 +235,7 @@ def test_what_this_run_does_not_allow_is_refused_in_one_line(
 def beat(folder: RunFolder, pid: int, started: float) -> None:
     file = HeartbeatFile(folder)
     status: Status = "running"
-    file.write(Heartbeat(pid, started, time.time(), status, "collecting", iteration=2, iterations=5))
+    file.write(Heartbeat(platform.node(), pid, started, time.time(), status, "collecting", iteration=2, iterations=5))
     file.close()
 
 

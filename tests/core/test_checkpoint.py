@@ -1,0 +1,93 @@
+"""Checkpoints: whole or not at all, and never a surprise on load."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
+from morph_core.run_folder import RunFolder, RunFolderError
+from morph_core.state import State, start
+from morph_core.tasks import make_task
+from morph_core.train import METHODS
+from tests.core.conftest import SMALL, make_run
+
+TASK = make_task("reacher")
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> tuple[RunFolder, State]:
+    """A run folder with the checkpoint of one iteration, and its state."""
+    folder, state = make_run(tmp_path), start(TASK, SMALL, 0)
+    next(METHODS["morph"](TASK, SMALL, state))
+    save_checkpoint(folder, state, 1.5)
+    return folder, state
+
+
+def test_a_checkpoint_brings_back_everything(saved: tuple[RunFolder, State]) -> None:
+    folder, state = saved
+    loaded, cpu_seconds = load_checkpoint(folder, 1, TASK, SMALL)
+    assert cpu_seconds == 1.5
+    assert (loaded.iteration, loaded.env_steps, loaded.alpha, loaded.fitted) == (1, state.env_steps, 1.0, True)
+    assert loaded.phi.tolist() == state.phi.tolist()
+    assert loaded.rng.bit_generator.state == state.rng.bit_generator.state
+    again, expected = (next(METHODS["morph"](TASK, SMALL, s)) for s in (loaded, state))
+    assert again == expected
+
+
+def test_saving_the_same_iteration_again_replaces_it(saved: tuple[RunFolder, State]) -> None:
+    folder, state = saved
+    state.alpha = 9.0
+    save_checkpoint(folder, state, 2.0)
+    assert load_checkpoint(folder, 1, TASK, SMALL)[0].alpha == 9.0
+    assert [p.name for p in folder.checkpoints.iterdir()] == ["000001"]
+
+
+def test_what_a_dying_trainer_left_is_tidied_up(saved: tuple[RunFolder, State]) -> None:
+    folder, _ = saved
+    folder.checkpoint(1).rename(folder.checkpoints / ".000001.old")
+    (folder.checkpoints / ".000002.draft").mkdir()
+    assert folder.checkpoint_iterations() == []
+    recover_checkpoints(folder)
+    assert [p.name for p in folder.checkpoints.iterdir()] == ["000001"]
+
+
+@pytest.mark.parametrize("damage", ["state.json", "weights.safetensors", "header", "json", "shape"])
+def test_a_damaged_checkpoint_is_an_error_and_an_older_one_stands_in(
+    saved: tuple[RunFolder, State], damage: str
+) -> None:
+    folder, state = saved
+    next(METHODS["morph"](TASK, SMALL, state))
+    save_checkpoint(folder, state, 2.0)
+    path = folder.checkpoint(2)
+    match damage:
+        case "header":
+            (path / "weights.safetensors").write_bytes(b"\xff" * 64)
+        case "json":
+            (path / "state.json").write_text('{"iteration": 2')
+        case "shape":
+            text = (path / "state.json").read_text()
+            (path / "state.json").write_text(text.replace('"phi": [', '"phi": [1.0, '))
+        case name:
+            (path / name).unlink()
+    with pytest.raises(RunFolderError, match="checkpoint 2 of run can't be read"):
+        load_checkpoint(folder, 2, TASK, SMALL)
+    newest = load_newest(folder, TASK, SMALL)
+    assert newest is not None
+    assert newest[0].iteration == 1
+
+
+def test_a_run_without_checkpoints_has_no_newest(tmp_path: Path) -> None:
+    assert load_newest(make_run(tmp_path), TASK, SMALL) is None
+
+
+def test_a_value_that_is_not_finite_is_noticed() -> None:
+    state = start(TASK, SMALL, 0)
+    assert all_finite(state)
+    with torch.no_grad():
+        next(state.learner.proxy.parameters())[0] = torch.nan
+    assert not all_finite(state)
+    state = start(TASK, SMALL, 0)
+    state.phi = np.full(5, np.inf)
+    assert not all_finite(state)

@@ -1,0 +1,133 @@
+"""Algorithm 1 and its baselines as generators: what they yield, what they obey."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+import torch
+
+from morph_core.config import Config
+from morph_core.objective import cosine_by_parameter, fit_proxy
+from morph_core.protocol import Progress
+from morph_core.state import State, start
+from morph_core.tasks import make_task
+from morph_core.train import METHODS
+
+TASK = make_task("reacher")
+
+
+def run(method: str, config: Config, iterations: int, state: State | None = None, seed: int = 0) -> list[Progress]:
+    state = state or start(TASK, config, seed)
+    return list(itertools.islice(METHODS[method](TASK, config, state), iterations))
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_a_method_yields_one_progress_per_iteration_and_repeats_itself(method: str, small: Config) -> None:
+    once, again = run(method, small, 3), run(method, small, 3)
+    assert [p.iteration for p in once] == [1, 2, 3]
+    assert [p.phi for p in once] == [p.phi for p in again]
+    assert once[-1].env_steps == 3 * small.trajectories * TASK.horizon
+    for progress in once:
+        TASK.design_space.check(progress.phi)
+
+
+def test_seeds_differ(small: Config) -> None:
+    assert run("morph", small, 2, seed=0)[-1].phi != run("morph", small, 2, seed=1)[-1].phi
+
+
+def test_morph_and_direct_move_phi_and_no_hw_opt_does_not(small: Config) -> None:
+    initial = TASK.design_space.initial.tolist()
+    assert run("morph", small, 2)[-1].phi != initial
+    assert run("direct", small, 2)[-1].phi != initial
+    assert run("no_hw_opt", small, 2)[-1].phi == initial
+
+
+def test_the_gaussian_exploration_runs_in_the_proxys_world(small: Config) -> None:
+    progress = run("morph", dataclasses.replace(small, exploration="gaussian"), 2)[-1]
+    assert progress.design_sigma is None
+    assert progress.cosine is not None
+    assert np.isfinite(progress.episode_return)
+
+
+@pytest.mark.parametrize("z", ["joints", "tip"])
+@pytest.mark.parametrize("exploration", ["design", "gaussian"])
+def test_every_z_and_exploration_go_together(z: str, exploration: str, small: Config) -> None:
+    task = make_task("reacher", {"z": z, "tunnel": "paper"})
+    config = dataclasses.replace(small, exploration=exploration)
+    progress = next(METHODS["morph"](task, config, start(task, config, 0)))
+    assert np.isfinite(progress.divergence or np.nan)
+    assert len(progress.cosine_by_parameter or []) == 5
+
+
+def test_phi_is_searched_for_every_k_iterations(small: Config) -> None:
+    costs = [p.search_cost for p in run("morph", dataclasses.replace(small, design_interval=3), 6)]
+    assert [c is not None for c in costs] == [False, False, True, False, False, True]
+
+
+def test_locks_and_bounds_hold_while_the_caller_edits_the_state(small: Config) -> None:
+    state = start(TASK, small, 0)
+    iterations = METHODS["morph"](TASK, small, state)
+    next(iterations)
+    state.design_space = state.design_space.with_lock("link_1", 2.0).with_bound("link_2", 0.5, 0.9)
+    state.phi = state.design_space.clip(state.phi)
+    for progress in itertools.islice(iterations, 3):
+        assert progress.phi[0] == 2.0
+        assert 0.5 <= progress.phi[1] <= 0.9
+
+
+def test_an_edited_alpha_is_in_force_in_the_next_iteration(small: Config) -> None:
+    state = start(TASK, small, 0)
+    iterations = METHODS["morph"](TASK, small, state)
+    assert next(iterations).alpha == 1.0
+    state.alpha = 50.0
+    heavy = next(iterations)
+    assert heavy.alpha == 50.0
+
+
+def test_the_prefit_brings_the_proxy_to_hw_phy(small: Config) -> None:
+    config = dataclasses.replace(small, hidden=64, proxy_prefit=300)
+    state = start(TASK, config, 0)
+    s, a = TASK.sample_pairs(256, np.random.default_rng(1))
+    true = TASK.hw_phy(state.phi)(s, a)
+
+    def error() -> float:
+        return float(((state.learner.proxy.hardware(s, a) - true) ** 2).sum(-1).mean())
+
+    before = error()
+    fit_proxy(TASK, state, config)
+    assert error() < 0.02 * before
+
+
+def test_the_cosine_of_a_parameter_is_that_along_what_it_moves() -> None:
+    s, a = TASK.sample_pairs(16, np.random.default_rng(0))
+    arm = TASK.hw_phy(TASK.design_space.initial)
+    direction = arm.jacobian(s, a)[..., 2]  # pyright: ignore[reportAttributeAccessIssue] - it is differentiable
+    agreeing = cosine_by_parameter(arm, s, a, direction, direction)
+    opposed = cosine_by_parameter(arm, s, a, -direction, direction)
+    assert agreeing is not None
+    assert opposed is not None
+    assert agreeing[2] == pytest.approx(1.0)
+    assert opposed[2] == pytest.approx(-1.0)
+    assert cosine_by_parameter(arm, s, a, 0 * direction, direction) == [None] * 5
+    assert cosine_by_parameter(lambda s, _: s, s, a, direction, direction) is None
+
+
+def test_weights_come_from_the_seed_alone(small: Config) -> None:
+    torch.manual_seed(1)
+    first = start(TASK, small, 3).learner.policy.state_dict()
+    torch.manual_seed(2)
+    second = start(TASK, small, 3).learner.policy.state_dict()
+    assert all(torch.equal(first[name], second[name]) for name in first)
+
+
+@pytest.mark.slow
+def test_morph_finds_an_arm_that_reaches_the_goal() -> None:
+    from morph_core.episodes import evaluate
+
+    state = start(TASK, TASK.config, 0)
+    for progress in METHODS["morph"](TASK, TASK.config, state):
+        if progress.env_steps >= 0.7e6:
+            break
+    score, _ = evaluate(TASK, state.learner.policy, state.phi, 128, np.random.default_rng(1), sampled=True)
+    assert score.success >= 0.9

@@ -1,0 +1,241 @@
+"""The run folder: one writer, torn lines, an inbox, truth about who is alive."""
+
+import os
+import platform
+import resource
+import signal
+import time
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import psutil
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from morph_core import protocol
+from morph_core.history import History
+from morph_core.protocol import Heartbeat, Progress, StateChanged
+from morph_core.run_folder import (
+    EventLog,
+    HeartbeatFile,
+    RunFolderError,
+    create_run,
+    find_run,
+    hold,
+    list_runs,
+    new_run_id,
+    read_rollout,
+    write_rollout,
+)
+from tests.core.conftest import make_run
+
+
+def progress(iteration: int) -> Progress:
+    return Progress(
+        iteration=iteration, env_steps=10 * iteration, phi=[float(iteration)] * 5, episode_return=-1.0, success=0.0,
+        policy_std=0.5,
+    )  # fmt: skip
+
+
+def beat(status: protocol.Status, pid: int, started: float, at: float, host: str = platform.node()) -> Heartbeat:
+    return Heartbeat(host, pid, started, at, status, "learning", 1, 6)
+
+
+def test_events_come_back_in_order_with_rising_seq(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    log = EventLog(folder)
+    for i in range(3):
+        log.append(progress(i))
+    log.close()
+    reopened = EventLog(folder)
+    reopened.append(progress(3))
+    reopened.close()
+    events, _ = folder.read_events()
+    assert [e.seq for e in events] == [1, 2, 3, 4]
+    assert [e.iteration for e in events] == [0, 1, 2, 3]
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(cut=st.integers(1, 900))
+def test_a_log_cut_anywhere_keeps_its_whole_events_and_goes_on(tmp_path: Path, cut: int) -> None:
+    folder = make_run(tmp_path, f"cut{cut}-{time.monotonic_ns()}")
+    log = EventLog(folder)
+    for i in range(4):
+        log.append(progress(i))
+    log.close()
+    whole = folder.events.read_bytes()
+    folder.events.write_bytes(whole[: max(0, len(whole) - cut)])
+    kept, _ = folder.read_events()
+    assert [e.seq for e in kept] == list(range(1, len(kept) + 1))
+    assert len(kept) == whole[: max(0, len(whole) - cut)].count(b"\n")
+    log = EventLog(folder)
+    log.append(progress(9))
+    log.close()
+    assert [e.seq for e in folder.read_events()[0]] == list(range(1, len(kept) + 2))
+
+
+def test_a_line_that_is_no_event_is_skipped(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    folder.events.write_bytes(b'{"kind":"from the future"}\nrubbish\n' + protocol.encode(progress(1)) + b"\n")
+    events, _ = folder.read_events()
+    assert [e.iteration for e in events] == [1]
+
+
+def test_a_full_disk_leaves_the_log_as_it_was(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    log = EventLog(folder)
+    log.append(progress(1))
+    before = folder.events.read_bytes()
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 20, limits[1]))
+    try:
+        with pytest.raises(OSError, match="large"):
+            log.append(progress(2))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert folder.events.read_bytes() == before
+    log.append(progress(2))
+    assert [e.seq for e in folder.read_events()[0]] == [1, 2]
+
+
+def test_commands_are_numbered_and_come_in_order(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    sent = [protocol.Pause(), protocol.SetAlpha(2.0), protocol.Resume()]
+    assert [folder.send(command) for command in sent] == [1, 2, 3]
+    pending = list(folder.pending())
+    assert [order.command for _, order in pending if order] == sent
+    for path, _ in pending:
+        path.unlink()
+    log = EventLog(folder)
+    log.append(protocol.Acknowledged(id=3, iteration=1, accepted=True, command=protocol.Resume()))
+    assert folder.send(protocol.Stop()) == 4
+
+
+def test_rubbish_in_the_inbox_is_no_order(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    (folder.commands / "000001.json").write_text('{"id": 1, "command": {"type": "rm -rf"}}')
+    assert [order for _, order in folder.pending()] == [None]
+
+
+def test_a_folder_has_one_holder(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    with hold(folder), pytest.raises(RunFolderError, match=f"held by another trainer .pid {os.getpid()}"), hold(folder):
+        pass
+    with hold(folder):
+        pass
+
+
+def test_a_run_is_written_once(tmp_path: Path) -> None:
+    record = make_run(tmp_path).record()
+    with pytest.raises(RunFolderError, match="there already"):
+        create_run(tmp_path, record)
+    assert list_runs(tmp_path) == ["run"]
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", "", ".", "..", "x" * 200, "a b", "a\x00b", "/etc", ".hidden", "ü"])
+def test_names_that_are_no_run_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(RunFolderError, match="no run name"):
+        find_run(tmp_path, name)
+
+
+def test_a_link_out_of_the_runs_folder_is_no_run(tmp_path: Path) -> None:
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "link").symlink_to(tmp_path / "outside")
+    with pytest.raises(RunFolderError, match="unknown run"):
+        find_run(tmp_path / "runs", "link")
+
+
+def test_an_unknown_run_lists_the_known_ones(tmp_path: Path) -> None:
+    make_run(tmp_path, "one")
+    with pytest.raises(RunFolderError, match='unknown run "two"; choose from: one'):
+        find_run(tmp_path, "two")
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b'{"format": 1}', b"\xff\xfe", b'{"id": 5}'])
+def test_a_damaged_record_is_an_error_with_a_reason(tmp_path: Path, content: bytes) -> None:
+    folder = make_run(tmp_path)
+    (folder.path / "run.json").write_bytes(content)
+    with pytest.raises(RunFolderError, match="can't be read"):
+        History(folder)
+
+
+def test_rollouts_come_back_and_damaged_ones_are_an_error(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    name = write_rollout(folder, 12, {"qpos": np.arange(6.0).reshape(3, 2)})
+    assert name == "rollouts/000012.npz"
+    assert read_rollout(folder, 12)["qpos"].tolist() == [[0, 1], [2, 3], [4, 5]]
+    folder.rollout(12).write_bytes(b"PK\x03\x04 torn")
+    with pytest.raises(RunFolderError, match="can't be read"):
+        read_rollout(folder, 12)
+    with pytest.raises(RunFolderError, match="no rollout of iteration 13"):
+        read_rollout(folder, 13)
+
+
+def test_run_names_say_when_and_what() -> None:
+    assert new_run_id("reacher", "morph", 3, 0.0).endswith("-reacher-morph-s3")
+
+
+def test_a_heartbeat_of_any_length_is_readable(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    file = HeartbeatFile(folder)
+    file.write(msgspec.structs.replace(beat("running", 1, 0.0, 0.0), message="x" * 900))
+    file.write(beat("paused", 2, 0.0, 0.0))
+    read = folder.heartbeat()
+    assert read is not None
+    assert (read.status, read.pid, read.message) == ("paused", 2, "")
+    assert (folder.path / "heartbeat.json").stat().st_size == 4096
+
+
+def test_a_heartbeat_longer_than_its_place_is_shortened_not_torn(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    HeartbeatFile(folder).write(msgspec.structs.replace(beat("failed", 1, 0.0, 0.0), message='"ü' * 9000))
+    read = folder.heartbeat()
+    assert read is not None
+    assert read.status == "failed"
+    assert read.message.startswith('"ü')
+
+
+def test_running_lost_and_ended_are_told_apart(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    log, file = EventLog(folder), HeartbeatFile(folder)
+    log.append(StateChanged(status="running", iteration=0))
+    me, now = psutil.Process(), time.time()
+    file.write(beat("running", me.pid, me.create_time(), now - 60))
+    assert History(folder).status == "running"  # the process is there, however late its heartbeat
+    assert folder.trainer_alive()
+    file.write(beat("running", 2**22 + 1, now - 100, now))
+    assert History(folder).status == "lost"  # no such process here
+    file.write(beat("running", 2**22 + 1, now - 100, now, "cluster-node"))
+    assert History(folder).status == "running"  # it moves
+    file.write(beat("running", 2**22 + 1, now - 100, now - 60, "cluster-node"))
+    assert History(folder).status == "lost"
+    file.write(beat("running", me.pid, me.create_time() - 1000, now - 60))
+    assert History(folder).status == "lost"  # the pid was reused
+    assert "resume" in History(folder).message
+    assert not folder.trainer_alive()
+    file.write(msgspec.structs.replace(beat("failed", 2**22 + 1, 0.0, now - 60), message="disk full"))
+    assert History(folder).status == "failed"  # not even the event could be written
+    log.append(StateChanged(status="finished", iteration=6, message="done"))
+    assert History(folder).status == "finished"
+
+
+def test_a_resume_voids_what_came_after_its_checkpoint(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    log = EventLog(folder)
+    for i in (1, 2, 3):
+        log.append(progress(i))
+    history = History(folder)
+    log.append(StateChanged(status="starting", iteration=2))
+    log.append(progress(3))
+    history.poll()
+    assert [p.iteration for p in history.progress] == [1, 2, 3]
+    assert history.design("latest")[0] == 3
+    assert history.design("0")[1].tolist() == [3.0] * 5
+    assert history.design("2")[1].tolist() == [2.0] * 5
+    for wrong in ("7", "-1", "nan", "bset"):
+        with pytest.raises(RunFolderError, match="choose best, latest"):
+            history.design(wrong)

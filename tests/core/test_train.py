@@ -1,0 +1,224 @@
+"""The trainer as a real process: commands, kill and resume, a second trainer, a full disk."""
+
+import dataclasses
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from morph_core import protocol
+from morph_core.history import History
+from morph_core.protocol import AnyCommand, StateChanged
+from morph_core.run_folder import RunFolder, read_rollout
+from morph_core.state import start
+from morph_core.tasks import make_task
+from morph_core.train import apply_edit
+from tests.core.conftest import SMALL, make_run
+
+
+def spawn(folder: RunFolder, *arguments: str, **options: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "morph_core.train", "--run", str(folder.path), *arguments]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **options)  # pyright: ignore
+
+
+def train(folder: RunFolder, *arguments: str) -> History:
+    trainer = spawn(folder, *arguments)
+    _, errors = trainer.communicate(timeout=200)
+    assert trainer.returncode == 0, errors
+    return History(folder)
+
+
+def wait_for(history: History, claim: Callable[[], bool], seconds: float = 60) -> None:
+    limit = time.monotonic() + seconds
+    while not claim():
+        assert time.monotonic() < limit, f"waited {seconds} s; {history.status} {history.message}"
+        time.sleep(0.02)
+        history.poll()
+
+
+def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    history = train(folder)
+    assert history.status == "finished"
+    assert [p.iteration for p in history.progress] == [1, 2, 3, 4, 5, 6]
+    assert [e.iteration for e in history.evaluations] == [2, 4, 6]
+    assert folder.checkpoint_iterations() == [2, 4, 6]
+    episode = read_rollout(folder, 6)
+    steps = len(episode["action"])
+    assert episode["qpos"].shape == (steps + 1, 5)
+    assert episode["contact"].shape == (steps, 3)
+    assert np.allclose(sum(episode[k] for k in episode if k.startswith("reward_terms/")), episode["reward"])
+    assert episode["phi"].tolist() == history.phi.tolist()
+    assert [e.seq for e in history.events] == list(range(1, len(history.events) + 1))
+
+
+def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=10**6)
+    folder.send(protocol.Pause())
+    trainer = spawn(folder)
+    history = History(folder)
+    wait_for(history, lambda: history.status == "paused")
+    sent: list[tuple[AnyCommand, bool]] = [
+        (protocol.SetAlpha(3.5), True), (protocol.SetAlpha(-1.0), False), (protocol.SetProjection("one_sided"), True),
+        (protocol.SetBound("link_1", 1.0, 2.0), True), (protocol.SetBound("link_1", 4.0, 2.0), False),
+        (protocol.SetBound("link_9", 1.0, 2.0), False), (protocol.Lock("link_2", 1.25), True),
+        (protocol.Lock("link_3", 99.0), False), (protocol.InjectDesign([0.5] * 5), False),
+        (protocol.InjectDesign([1.5, 1.25, 1.0, 1.0, 1.0]), True), (protocol.Step(), True),
+    ]  # fmt: skip
+    ids = [folder.send(command) for command, _ in sent]
+    wait_for(history, lambda: len(history.acknowledged) == len(sent) + 1)
+    wait_for(history, lambda: history.iteration == 1 and history.status == "paused")
+    answers = history.acknowledged[1:]
+    assert [(a.id, a.command, a.accepted) for a in answers] == [
+        (i, command, accepted) for i, (command, accepted) in zip(ids, sent, strict=True)
+    ]
+    assert all(a.iteration == 0 and a.message for a in answers)
+    assert history.design_space.parameters[1].locked_at == 1.25
+    first = history.progress[0]
+    assert (first.alpha, first.projection, first.phi[1]) == (3.5, "one_sided", 1.25)
+    assert 1.0 <= first.phi[0] <= 2.0
+    trainer.kill()
+    trainer.wait()
+
+    trainer = spawn(folder)
+    wait_for(history, lambda: history.iteration >= 3)
+    folder.send(protocol.Stop())
+    assert trainer.wait(30) == 0
+    history.poll()
+    assert history.status == "stopped"
+    assert (history.progress[-1].alpha, history.progress[-1].projection) == (3.5, "one_sided")
+    assert history.phi[1] == 1.25
+    assert History(folder).design_space.parameters[0].hi == 2.0
+
+
+def test_a_signal_stops_cleanly_and_leaves_a_resumable_run(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=10**6)
+    trainer = spawn(folder)
+    history = History(folder)
+    wait_for(history, lambda: history.iteration >= 1)
+    trainer.send_signal(signal.SIGINT)
+    assert trainer.wait(30) == 0
+    history.poll()
+    assert history.status == "stopped"
+    assert folder.checkpoint_iterations()[-1] == history.iteration
+
+
+def test_a_second_trainer_on_one_folder_is_refused(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=10**6)
+    first = spawn(folder)
+    history = History(folder)
+    wait_for(history, lambda: history.iteration >= 1)
+    second = spawn(folder)
+    _, errors = second.communicate(timeout=60)
+    assert second.returncode == 2
+    assert "held by another trainer" in errors
+    first.terminate()
+    assert first.wait(30) == 0
+
+
+def test_a_failure_is_said_with_its_reason(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, config=dataclasses.replace(SMALL, learning_rate=1e30))
+    trainer = spawn(folder)
+    trainer.communicate(timeout=100)
+    assert trainer.returncode == 1
+    history = History(folder)
+    assert history.status == "failed"
+    assert "NaN" in history.message
+
+
+def test_a_disk_that_is_full_pauses_the_run_and_loses_nothing(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=10**6)
+
+    def small_files() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, resource.RLIM_INFINITY))
+
+    trainer = spawn(folder, preexec_fn=small_files)
+    history = History(folder)
+    wait_for(history, lambda: history.status == "paused")
+    assert "disk does not take" in history.message
+    told = folder.events.read_bytes()
+    assert told.endswith(b"\n")
+    time.sleep(1.2)
+    assert folder.events.read_bytes() == told
+    resource.prlimit(trainer.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    reached = history.iteration
+    wait_for(history, lambda: history.iteration > reached + 2)
+    assert folder.events.read_bytes().startswith(told)
+    assert [e.seq for e in history.events] == list(range(1, len(history.events) + 1))
+    trainer.terminate()
+    assert trainer.wait(30) == 0
+
+
+def test_a_trainer_in_reserve_starts_at_a_word_and_goes_when_nobody_needs_it(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    command = [sys.executable, "-m", "morph_core.train", "--standby"]
+    used = subprocess.Popen(command, stdin=subprocess.PIPE, text=True)
+    used.communicate(json.dumps({"run": str(folder.path), "further": None}) + "\n", timeout=100)
+    assert used.returncode == 0
+    assert History(folder).status == "finished"
+    unused = subprocess.Popen(command, stdin=subprocess.PIPE, text=True)
+    unused.communicate("", timeout=100)
+    assert unused.returncode == 0
+
+
+def test_further_goes_beyond_a_finished_run(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=2)
+    train(folder)
+    assert train(folder, "--further", "3").iteration == 5
+    assert train(make_run(tmp_path, "whole", iterations=5)).phi.tolist() == History(folder).phi.tolist()
+
+
+@pytest.mark.parametrize("method", ["morph", "direct", "no_hw_opt"])
+@pytest.mark.slow
+def test_killed_and_resumed_is_bitwise_the_run_that_was_not(tmp_path: Path, method: str) -> None:
+    whole = train(make_run(tmp_path, "whole", method, seed=3, iterations=12))
+    folder = make_run(tmp_path, "killed", method, seed=3, iterations=12)
+    history = History(folder)
+    for reached in (1, 3, 6, 9):
+        trainer = spawn(folder)
+        wait_for(history, lambda reached=reached: history.iteration >= reached)
+        os.kill(trainer.pid, signal.SIGKILL)
+        trainer.wait()
+    train(folder)
+    history.poll()
+    assert [p.iteration for p in history.progress] == list(range(1, 13))
+    assert [p.phi for p in history.progress] == [p.phi for p in whole.progress]
+    assert [p.episode_return for p in history.progress] == [p.episode_return for p in whole.progress]
+    assert [e.sampled_return for e in history.evaluations] == [e.sampled_return for e in whole.evaluations]
+    starts = [e for e in history.events if isinstance(e, StateChanged) and e.status == "starting"]
+    assert len(starts) == 5
+
+
+def test_edits_refuse_what_is_not_allowed_and_leave_the_state_alone() -> None:
+    task = make_task("reacher")
+    state = start(task, SMALL, 0)
+    for command in (
+        protocol.SetAlpha(float("nan")), protocol.SetBound("link_1", float("inf"), 2.0), protocol.Lock("link", 1.0),
+        protocol.InjectDesign([float("nan")] * 5), protocol.InjectDesign([1.0]), protocol.InjectDesign([9.0] * 5),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=r"must|needed|unknown"):
+            apply_edit(command, state)
+    assert state.alpha == 1.0
+    assert state.design_space == task.design_space
+    assert state.phi.tolist() == [3.0] * 5
+
+
+def test_the_proxy_is_fitted_afresh_only_when_phi_was_moved() -> None:
+    state = start(make_task("reacher"), SMALL, 0)
+    state.fitted = True
+    apply_edit(protocol.SetBound("link_1", 1.0, 4.0), state)
+    apply_edit(protocol.Lock("link_1"), state)
+    assert state.fitted
+    apply_edit(protocol.Unlock("link_1"), state)
+    apply_edit(protocol.SetBound("link_1", 1.0, 2.0), state)
+    assert state.phi[0] == 2.0
+    assert not state.fitted
