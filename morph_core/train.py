@@ -116,8 +116,8 @@ class Trainer:
         self._heartbeat.write(
             Heartbeat(
                 host=platform.node(), pid=os.getpid(), process_started=self._process_started,
-                time=time.time(), status=self._status, stage=self._stage, iteration=self._iteration, iterations=self._last, env_steps=self._env_steps,
-                eta_seconds=eta, message=self._message,
+                time=time.time(), status=self._status, stage=self._stage, message=self._message,
+                iteration=self._iteration, iterations=self._last, env_steps=self._env_steps, eta_seconds=eta,
             )
         )  # fmt: skip
 

@@ -45,7 +45,8 @@ if mood == "stillborn":
 with hold(folder):
     log, heart = EventLog(folder), HeartbeatFile(folder)
     def beat(status):
-        heart.write(Heartbeat(platform.node(), os.getpid(), psutil.Process().create_time(), time.time(), status, "collecting", 2, 100))
+        me = psutil.Process()
+        heart.write(Heartbeat(platform.node(), me.pid, me.create_time(), time.time(), status, "collecting", 2, 100))
     status = "running"
     log.append(StateChanged(status="starting", iteration=0))
     log.append(StateChanged(status=status, iteration=0))
