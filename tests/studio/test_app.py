@@ -86,6 +86,21 @@ def test_a_busy_port_is_an_error_and_never_the_next_port(tmp_path: Path) -> None
     assert ended.stderr.strip() == f"can't listen on 127.0.0.1:{port}: Address already in use"
 
 
+def test_a_server_whose_viser_is_not_guarded_does_not_come_up(tmp_path: Path) -> None:
+    unguarded = "import websockets.asyncio.server as w, viser\n" + (
+        "real, init = w.serve, viser.ViserServer.__init__\n"
+        "def __init__(self, *a, **k):\n    w.serve = real\n    init(self, *a, **k)\n"
+        "viser.ViserServer.__init__ = __init__\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", unguarded + SERVE, "0", str(tmp_path / "runs"), str(tmp_path)],
+        capture_output=True, text=True, cwd=ROOT, timeout=30, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 1
+    assert "did not take the guard" in ended.stderr
+    assert "token=" not in ended.stdout
+
+
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_the_server_in_time_and_leaves_trainers_running(tmp_path: Path, how: signal.Signals) -> None:
     folder = make_run(tmp_path / "runs", "run")
