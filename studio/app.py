@@ -205,7 +205,7 @@ class _Server(uvicorn.Server):
 
 
 def serve(settings: Settings) -> None:
-    """Serve until SIGINT or SIGTERM; runs go on. SystemExit(1) if the port is taken or the application can't start."""
+    """Serve until SIGINT or SIGTERM; runs go on. SystemExit if the port is taken or the application can't start."""
     try:
         listener = _listen(settings.host, settings.port)
     except OSError as error:
@@ -236,11 +236,8 @@ def serve(settings: Settings) -> None:
         ws_max_size=MAX_MESSAGE,
         timeout_graceful_shutdown=2,
     )
-    server = _Server(config, announce)
     with contextlib.suppress(KeyboardInterrupt):
-        server.run(sockets=[listener])
-    if not server.started:  # the log says why
-        raise SystemExit(1)
+        _Server(config, announce).run(sockets=[listener])
 
 
 def _listen(host: str, port: int) -> socket.socket:

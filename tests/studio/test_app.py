@@ -96,7 +96,7 @@ def test_a_server_whose_viser_is_not_guarded_does_not_come_up(tmp_path: Path) ->
         [sys.executable, "-W", "ignore", "-c", unguarded + SERVE, "0", str(tmp_path / "runs"), str(tmp_path)],
         capture_output=True, text=True, cwd=ROOT, timeout=30, check=False,
     )  # fmt: skip
-    assert ended.returncode == 1
+    assert ended.returncode != 0
     assert "did not take the guard" in ended.stderr
     assert "token=" not in ended.stdout
 
