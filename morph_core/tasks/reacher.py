@@ -153,7 +153,7 @@ class Reacher:
     """rad: largest change of a joint angle per control step."""
     start_noise: float = 0.05
     """rad: standard deviation of each joint angle at the start."""
-    sweep_substeps: int = 12
+    sweep_substeps: int = 20
     """Postures tested for collision along the move of each joint."""
     distance_weight: float = 1.0
     """Reward per metre between tip and goal (enters with a minus)."""

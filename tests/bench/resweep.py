@@ -58,12 +58,11 @@ def main(options: Resweep) -> None:
                 score, _ = evaluate(world, state.learner.policy, state.phi, options.episodes, rng, sampled)
                 success[sampled, world.sweep_substeps] = score.success
         _, rollout = evaluate(task, state.learner.policy, state.phi, 32, np.random.default_rng(2), sampled=True)
-        print(
-            f"{path.name} | sampled {success[True, task.sweep_substeps]:.3f} det {success[False, task.sweep_substeps]:.3f}"
-            f" | sampled {success[True, finer.sweep_substeps]:.3f} det {success[False, finer.sweep_substeps]:.3f}"
-            f" | {deepest_penetration(task, state.phi, rollout):.3f}",
-            flush=True,
-        )
+        columns = [
+            f"sampled {success[True, n]:.3f} det {success[False, n]:.3f}"
+            for n in (task.sweep_substeps, finer.sweep_substeps)
+        ]
+        print(path.name, *columns, f"{deepest_penetration(task, state.phi, rollout):.3f}", sep=" | ", flush=True)
 
 
 if __name__ == "__main__":

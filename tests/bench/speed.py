@@ -1,0 +1,85 @@
+"""Environment steps per second including learning, one core: ours against Gymnasium's SyncVectorEnv.
+
+Both sides run the same task, episodes, policy, critic and PPO update; only what steps the environments differs. They
+take turns in the same process, so that whatever else the machine does hits both alike.
+"""
+
+import time
+from dataclasses import dataclass
+
+import gymnasium
+import numpy as np
+import torch
+import tyro
+from gymnasium.vector import SyncVectorEnv
+
+import morph_core.envs  # noqa: F401 - registers the tasks
+from morph_core.config import Config
+from morph_core.objective import improve_control, make_batch
+from morph_core.rollout import Rollout, collect
+from morph_core.state import State, start
+from morph_core.task import Task
+from morph_core.tasks import make_task
+
+
+@dataclass(frozen=True)
+class Speed:
+    """What to compare."""
+
+    task: str = "reacher"
+    iterations: int = 3
+    """Iterations per side."""
+
+
+def through_gymnasium(envs: SyncVectorEnv, task: Task, state: State, seed: int) -> Rollout:
+    """Collect one episode per environment through SyncVectorEnv."""
+    observation, _ = envs.reset(seed=seed)
+    alive = np.ones(envs.num_envs, dtype=bool)
+    rows = []
+    for _ in range(task.horizon):
+        action = state.learner.policy.act(observation, state.rng)
+        following, reward, terminated, truncated, _ = envs.step(action)
+        rows.append((observation, action, reward, alive, terminated))
+        observation, alive = following, alive & ~(terminated | truncated)
+    observations, actions, rewards, lives, successes = (np.stack(column) for column in zip(*rows, strict=True))
+    unused = np.zeros((*rewards.shape, 1))
+    return Rollout(unused, observations, actions, unused, unused, rewards, {}, lives, successes, unused, unused[0])
+
+
+def through_morph(task: Task, config: Config, state: State) -> Rollout:
+    """Collect one episode per environment as the methods do."""
+    hw_phy = task.hw_phy(np.tile(state.phi, (config.trajectories, 1)))
+    return collect(
+        task,
+        lambda observation: state.learner.policy.act(observation, state.rng),
+        hw_phy,
+        task.reset(hw_phy, config.trajectories, state.rng),
+    )
+
+
+def main(options: Speed) -> None:
+    torch.set_num_threads(1)
+    task = make_task(options.task)
+    config = task.config
+    ids = [f"morph/{task.name.title().replace('_', '')}-v0"] * config.trajectories
+    envs = SyncVectorEnv([lambda name=name: gymnasium.make(name) for name in ids])
+    ours, theirs = start(task, config, 0), start(task, config, 0)
+    seconds, steps = {"ours": 0.0, "SyncVectorEnv": 0.0}, {"ours": 0, "SyncVectorEnv": 0}
+    for iteration in range(1, options.iterations + 1):
+        for side, state in (("ours", ours), ("SyncVectorEnv", theirs)):
+            began = time.process_time()
+            if side == "ours":
+                rollout = through_morph(task, config, state)
+            else:
+                rollout = through_gymnasium(envs, task, state, iteration)
+            improve_control(state, make_batch(task, state.learner, rollout, config), iteration, config)
+            seconds[side] += time.process_time() - began
+            steps[side] += rollout.steps
+    rate = {side: steps[side] / seconds[side] for side in seconds}
+    for side, value in rate.items():
+        print(f"{side}: {value:,.0f} environment steps per CPU second, learning included")
+    print(f"ratio: {rate['ours'] / rate['SyncVectorEnv']:.1f}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Speed, description=__doc__))
