@@ -321,6 +321,15 @@ def _keep_beating(trainer: Trainer, ended: threading.Event) -> None:
         trainer.beat()
 
 
+def _say_into(log: Path) -> None:
+    """Let standard output and error go to the end of this file from now on, and work beside it."""
+    os.chdir(log.parent)
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    for stream in (1, 2):
+        os.dup2(descriptor, stream)
+    os.close(descriptor)
+
+
 def main() -> int:
     """Parse the arguments; `--standby` waits, with everything loaded, for the arguments as JSON on standard input."""
     parser = argparse.ArgumentParser(prog="python -m morph_core.train", description=__doc__)
@@ -335,6 +344,7 @@ def main() -> int:
             return 0  # whoever kept us in reserve is gone
         order = msgspec.json.decode(line)
         options.run, options.further = Path(order["run"]), order["further"]
+        _say_into(options.run / "trainer.log")
     if options.further is not None and options.further < 1:
         parser.error(f"--further must be at least 1, not {options.further}")
     try:

@@ -35,6 +35,7 @@ from studio.export.bundle import FORMATS, build_bundle
 from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
+from studio.trainers import Reserve
 from studio.viewer import StartRequest, Viewer
 
 SHOW_INTERVAL = 0.2
@@ -98,13 +99,17 @@ def create_app(
     viewer: Callable[[viser.ViserServer, Runs], Shows] = make_viewer,
 ) -> FastAPI:
     """Return the application; `app.state` holds `access`, `runs` and, while it runs, `viser`."""
-    watched = runs or Runs(settings.runs)
+    reserve = Reserve()
+    watched = runs or Runs(settings.runs, reserve.spawn)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         watched.show_newest()
         with contextlib.ExitStack() as ends:
+            if runs is None:
+                ends.callback(reserve.close)
+                reserve.load()
             app.state.viser = GuardedViser()
             ends.callback(app.state.viser.stop)
             shown, done = viewer(app.state.viser.server, watched), threading.Event()

@@ -1,180 +1,45 @@
-"""The runs of one folder: prepare them, start, adopt and watch their trainers, and pass on commands."""
+"""The runs of one folder: start, adopt and watch their trainers, and pass on commands."""
 
 import contextlib
-import dataclasses
-import importlib.metadata
-import math
-import os
 import platform
 import signal
 import subprocess
-import sys
 import threading
 import time
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
-import morph_core
-from morph_core.config import Method, check_field, config_from
 from morph_core.design import DesignSpace
 from morph_core.history import History
 from morph_core.protocol import (
     AnyCommand,
     Evaluation,
-    InjectDesign,
-    Lock,
-    Parameter,
-    Parent,
-    RunRecord,
-    SetAlpha,
-    SetBound,
-    SetProjection,
     StateChanged,
     Status,
-    Unlock,
 )
 from morph_core.run_folder import (
     ENDED,
     RunFolder,
     RunFolderError,
-    create_run,
     find_run,
     list_runs,
-    new_run_id,
     process_alive,
     still_beating,
 )
-from morph_core.tasks import make_task
+from studio.commands import check_command
+from studio.new_run import MAX_ITERATIONS, check_whole, prepare_run
+from studio.trainers import spawn_trainer
 
-MAX_ITERATIONS = 1_000_000
 WATCHED = 20
 """How many of the newest runs the viewer is offered, beside those that run and the one it shows."""
-_PACKAGES = ("morph-studio", "numpy", "torch", "mujoco", "cma", "viser")
 KEPT = 40
 """How many runs are kept in memory at most."""
 _LOG_TAIL = 4096
 _EVENTS_TAIL = 65536
-
-
-def prepare_run(
-    runs: Path,
-    *,
-    task: str,
-    method: str = "morph",
-    seed: int = 0,
-    iterations: int = 100,
-    settings: Mapping[str, object] | None = None,
-    task_options: Mapping[str, object] | None = None,
-    parameters: Sequence[Parameter] | None = None,
-    parent: Parent | None = None,
-) -> RunFolder:
-    """Create the folder of a new run, ready for a trainer; raise ValueError that says what is allowed."""
-    try:
-        chosen = make_task(task, task_options)
-        config = config_from(dict(settings or {}), chosen.config)
-    except (TypeError, OverflowError) as error:  # a list where a number belongs, 10**400 where a float does
-        raise ValueError(f"a setting of {task} has the wrong type or size: {error}") from error
-    if method not in typing.get_args(Method):
-        raise ValueError(f'unknown method "{method}"; choose from: {", ".join(typing.get_args(Method))}')
-    _check_whole("seed", seed, 0, 2**32 - 1)
-    _check_whole("iterations", iterations, 1, MAX_ITERATIONS)
-    space = chosen.design_space
-    if parameters is not None:
-        space = _edited(space, parameters)
-    revision, dirty = git_state()
-    base = new_run_id(task, method, seed)
-    record = RunRecord(
-        id=base,
-        task=task,
-        task_options=dict(task_options or {}),
-        method=method,
-        seed=seed,
-        iterations=iterations,
-        config=dataclasses.asdict(config),
-        parameters=list(space.parameters),
-        versions=versions(),
-        git_revision=revision,
-        git_dirty=dirty,
-        created=time.time(),
-        parent=parent,
-    )
-    number = 1
-    while True:
-        name = base if number == 1 else f"{base}-{number}"
-        if not (runs / name).exists():
-            with contextlib.suppress(RunFolderError):  # another process was faster: take the next name
-                return create_run(runs, msgspec.structs.replace(record, id=name))
-        number += 1
-
-
-def _check_whole(name: str, value: object, lo: int, hi: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or not lo <= value <= hi:
-        raise ValueError(f"{name} must be a whole number from {lo} to {hi}, not {value!r}")
-
-
-def _edited(space: DesignSpace, parameters: Sequence[Parameter]) -> DesignSpace:
-    """Return `space` with the bounds, locks and initial values of `parameters`; the rest is the task's."""
-    for p in parameters:
-        i = space.index(p.name)
-        space = space.with_bound(p.name, p.lo, p.hi)
-        if p.locked_at is not None:
-            space = space.with_lock(p.name, p.locked_at)
-        if not space.parameters[i].lo <= p.initial <= space.parameters[i].hi:
-            raise ValueError(f"the initial {p.name} must lie inside [{p.lo:g}, {p.hi:g}] {p.unit}, not {p.initial:g}")
-        moved = msgspec.structs.replace(space.parameters[i], initial=p.initial)
-        space = DesignSpace((*space.parameters[:i], moved, *space.parameters[i + 1 :]))
-    return space
-
-
-def versions() -> dict[str, str]:
-    """Return the versions a run depends on, without importing what they name."""
-    found = {"python": platform.python_version()}
-    for name in _PACKAGES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found
-
-
-def git_state() -> tuple[str | None, bool | None]:
-    """Return revision and dirty flag of the checkout this code runs from; None outside one."""
-    here = Path(__file__).resolve()
-
-    def git(*words: str) -> str:
-        command = ["git", "--no-optional-locks", "-C", str(here.parent), *words]
-        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout
-
-    try:
-        git("ls-files", "--error-unmatch", here.name)  # not some other checkout that this is installed in
-        return git("rev-parse", "HEAD").strip(), bool(git("status", "--porcelain", "--untracked-files=no").strip())
-    except (OSError, subprocess.SubprocessError):
-        return None, None
-
-
-def spawn_trainer(folder: RunFolder, *, further: int | None = None) -> subprocess.Popen[bytes]:
-    """Start the trainer of a run as a process of its own session: it outlives the server."""
-    code = str(Path(morph_core.__file__).resolve().parents[1])
-    environment = {name: value for name, value in os.environ.items() if name != "MORPH_TOKEN"}
-    environment |= {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-    environment["PYTHONPATH"] = os.pathsep.join(p for p in (code, environment.get("PYTHONPATH")) if p)
-    path = folder.path.resolve()
-    # -P: code that lies in a run folder from elsewhere must not be imported.
-    command = [sys.executable, "-P", "-m", "morph_core.train", "--run", str(path)]
-    if further is not None:
-        command += ["--further", str(further)]
-    with (path / "trainer.log").open("ab") as log:
-        return subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=log,
-            cwd=path,
-            env=environment,
-            start_new_session=True,
-        )
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
@@ -310,7 +175,7 @@ class Runs:
     def resume(self, run_id: str, further: int | None = None) -> None:
         """Start a trainer that goes on from the newest checkpoint; ValueError if one is at work or nothing is left."""
         if further is not None:
-            _check_whole("further", further, 1, MAX_ITERATIONS)
+            check_whole("further", further, 1, MAX_ITERATIONS)
         with self._lock:
             history = self.get(run_id)
             status, _ = self.status(history)
@@ -458,33 +323,6 @@ class Runs:
         )
         self._ended[folder.id] = size, line
         return line
-
-
-def check_command(command: AnyCommand, space: DesignSpace) -> AnyCommand:
-    """Return the command with its fields' types made sure of; raise ValueError that says what is allowed."""
-    try:
-        command = msgspec.convert(msgspec.to_builtins(command), AnyCommand)
-    except (msgspec.ValidationError, TypeError, OverflowError) as error:
-        raise ValueError(f"this is no command: {error}") from error
-    match command:
-        case SetAlpha(alpha=alpha):
-            check_field("alpha", alpha)
-        case SetProjection(projection=projection):
-            check_field("projection", projection)
-        case SetBound(name=name, lo=lo, hi=hi):
-            space.with_bound(name, lo, hi)
-        case Lock(name=name, value=value):
-            space.index(name)
-            if value is not None:
-                space.with_lock(name, value)
-        case Unlock(name=name):
-            space.index(name)
-        case InjectDesign(phi=phi):
-            space.check(phi)
-            for p, value in zip(space.parameters, phi, strict=True):
-                if p.locked_at is not None and not math.isclose(value, p.locked_at):
-                    raise ValueError(f"{p.name} is locked at {p.locked_at:g} {p.unit}, not {value:g}: unlock it first")
-    return command
 
 
 def _cause(code: int | None, folder: RunFolder, log_start: int) -> str:

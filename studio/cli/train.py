@@ -19,7 +19,8 @@ from morph_core.tasks import TASKS, make_task
 from studio.cli.arguments import RunsArguments, UsageError, parse
 from studio.cli.choice import open_run
 from studio.cli.follow import Outcome, follow
-from studio.runs import prepare_run, spawn_trainer
+from studio.new_run import prepare_run
+from studio.trainers import spawn_trainer
 
 DEFAULT_ITERATIONS = 100
 BEATS_WITHIN = 3.0

@@ -18,7 +18,7 @@ from morph_core.history import History
 from morph_core.protocol import Evaluation, Heartbeat, Progress, StateChanged, Status
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, hold, list_runs
 from studio.cli import run
-from studio.runs import prepare_run
+from studio.new_run import prepare_run
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "studio.cli"]

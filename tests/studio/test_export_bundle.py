@@ -25,7 +25,7 @@ from morph_core.run_folder import EventLog, RunFolder
 from studio.export.bundle import build_bundle, write_bundle
 from studio.export.errors import ExportError
 from studio.export.verify import verify
-from studio.runs import prepare_run
+from studio.new_run import prepare_run
 
 PHIS = {1: [3.0, 2.9, 2.8, 2.7, 2.6], 2: [2.5, 2.0, 1.5, 1.0, 0.05], 3: [2.2, 1.0, 1.6, 2.4, 1.4]}
 

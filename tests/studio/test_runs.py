@@ -29,7 +29,10 @@ from morph_core.protocol import (
 )
 from morph_core.run_folder import EventLog, RunFolder, RunFolderError
 from morph_core.tasks import make_task
-from studio.runs import KEPT, Runs, check_command, git_state, prepare_run, spawn_trainer
+from studio.commands import check_command
+from studio.new_run import git_state, prepare_run
+from studio.runs import KEPT, Runs
+from studio.trainers import spawn_trainer
 
 REACHER = make_task("reacher")
 SPACE = REACHER.design_space

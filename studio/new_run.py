@@ -1,0 +1,117 @@
+"""A new run: its settings checked, its record written, with what would be needed to run it again."""
+
+import contextlib
+import dataclasses
+import importlib.metadata
+import platform
+import subprocess
+import time
+import typing
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+
+from morph_core.config import Method, config_from
+from morph_core.design import DesignSpace
+from morph_core.protocol import Parameter, Parent, RunRecord
+from morph_core.run_folder import RunFolder, RunFolderError, create_run, new_run_id
+from morph_core.tasks import make_task
+
+MAX_ITERATIONS = 1_000_000
+_PACKAGES = ("morph-studio", "numpy", "torch", "mujoco", "cma", "viser")
+
+
+def prepare_run(
+    runs: Path,
+    *,
+    task: str,
+    method: str = "morph",
+    seed: int = 0,
+    iterations: int = 100,
+    settings: Mapping[str, object] | None = None,
+    task_options: Mapping[str, object] | None = None,
+    parameters: Sequence[Parameter] | None = None,
+    parent: Parent | None = None,
+) -> RunFolder:
+    """Create the folder of a new run, ready for a trainer; raise ValueError that says what is allowed."""
+    try:
+        chosen = make_task(task, task_options)
+        config = config_from(dict(settings or {}), chosen.config)
+    except (TypeError, OverflowError) as error:  # a list where a number belongs, 10**400 where a float does
+        raise ValueError(f"a setting of {task} has the wrong type or size: {error}") from error
+    if method not in typing.get_args(Method):
+        raise ValueError(f'unknown method "{method}"; choose from: {", ".join(typing.get_args(Method))}')
+    check_whole("seed", seed, 0, 2**32 - 1)
+    check_whole("iterations", iterations, 1, MAX_ITERATIONS)
+    space = chosen.design_space
+    if parameters is not None:
+        space = _edited(space, parameters)
+    revision, dirty = git_state()
+    base = new_run_id(task, method, seed)
+    record = RunRecord(
+        id=base,
+        task=task,
+        task_options=dict(task_options or {}),
+        method=method,
+        seed=seed,
+        iterations=iterations,
+        config=dataclasses.asdict(config),
+        parameters=list(space.parameters),
+        versions=versions(),
+        git_revision=revision,
+        git_dirty=dirty,
+        created=time.time(),
+        parent=parent,
+    )
+    number = 1
+    while True:
+        name = base if number == 1 else f"{base}-{number}"
+        if not (runs / name).exists():
+            with contextlib.suppress(RunFolderError):  # another process was faster: take the next name
+                return create_run(runs, msgspec.structs.replace(record, id=name))
+        number += 1
+
+
+def check_whole(name: str, value: object, lo: int, hi: int) -> None:
+    """Raise ValueError unless `value` is a whole number in [lo, hi]."""
+    if isinstance(value, bool) or not isinstance(value, int) or not lo <= value <= hi:
+        raise ValueError(f"{name} must be a whole number from {lo} to {hi}, not {value!r}")
+
+
+def _edited(space: DesignSpace, parameters: Sequence[Parameter]) -> DesignSpace:
+    """Return `space` with the bounds, locks and initial values of `parameters`; the rest is the task's."""
+    for p in parameters:
+        i = space.index(p.name)
+        space = space.with_bound(p.name, p.lo, p.hi)
+        if p.locked_at is not None:
+            space = space.with_lock(p.name, p.locked_at)
+        if not space.parameters[i].lo <= p.initial <= space.parameters[i].hi:
+            raise ValueError(f"the initial {p.name} must lie inside [{p.lo:g}, {p.hi:g}] {p.unit}, not {p.initial:g}")
+        moved = msgspec.structs.replace(space.parameters[i], initial=p.initial)
+        space = DesignSpace((*space.parameters[:i], moved, *space.parameters[i + 1 :]))
+    return space
+
+
+def versions() -> dict[str, str]:
+    """Return the versions a run depends on, without importing what they name."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found
+
+
+def git_state() -> tuple[str | None, bool | None]:
+    """Return revision and dirty flag of the checkout this code runs from; None outside one."""
+    here = Path(__file__).resolve()
+
+    def git(*words: str) -> str:
+        command = ["git", "--no-optional-locks", "-C", str(here.parent), *words]
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout
+
+    try:
+        git("ls-files", "--error-unmatch", here.name)  # not some other checkout that this is installed in
+        return git("rev-parse", "HEAD").strip(), bool(git("status", "--porcelain", "--untracked-files=no").strip())
+    except (OSError, subprocess.SubprocessError):
+        return None, None

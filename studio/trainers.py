@@ -1,0 +1,83 @@
+"""Trainer processes: each a session of its own, so that a run outlives the server."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import IO
+
+import morph_core
+from morph_core.run_folder import RunFolder
+
+RESERVE_DELAY = 10.0
+"""Seconds after a start before the next trainer is loaded into reserve: the new run has the processor first."""
+
+
+def spawn_trainer(folder: RunFolder, *, further: int | None = None) -> subprocess.Popen[bytes]:
+    """Start the trainer of a run."""
+    path = folder.path.resolve()
+    words = ["--run", str(path)]
+    if further is not None:
+        words += ["--further", str(further)]
+    with (path / "trainer.log").open("ab") as log:
+        return _popen(words, stdin=subprocess.DEVNULL, output=log, cwd=path)
+
+
+class Reserve:
+    """Keeps one trainer in reserve with everything loaded: seconds less between Start and the first iteration."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._ready: subprocess.Popen[bytes] | None = None
+        self._timer: threading.Timer | None = None
+        self._closed = False
+
+    def load(self) -> None:
+        """Load a trainer, unless one is there."""
+        with self._lock:
+            if not self._closed and (self._ready is None or self._ready.poll() is not None):
+                self._ready = _popen(["--standby"], stdin=subprocess.PIPE, output=subprocess.DEVNULL, cwd=None)
+
+    def spawn(self, folder: RunFolder, *, further: int | None = None) -> subprocess.Popen[bytes]:
+        """Start the trainer of a run: the one in reserve, or, where there is none, a new one."""
+        with self._lock:
+            trainer, self._ready = self._ready, None
+            if self._timer is None or not self._timer.is_alive():
+                self._timer = threading.Timer(RESERVE_DELAY, self.load)
+                self._timer.daemon = True
+                self._timer.start()
+        if trainer is not None and trainer.stdin is not None:
+            order = json.dumps({"run": str(folder.path.resolve()), "further": further}) + "\n"
+            try:
+                trainer.stdin.write(order.encode())
+                trainer.stdin.close()
+            except OSError:
+                trainer.wait()
+            else:
+                return trainer
+        return spawn_trainer(folder, further=further)
+
+    def close(self) -> None:
+        """Let the trainer in reserve go; those at work go on."""
+        with self._lock:
+            self._closed = True
+            if self._timer is not None:
+                self._timer.cancel()
+            if self._ready is not None and self._ready.stdin is not None:
+                self._ready.stdin.close()
+                self._ready.terminate()
+                self._ready.wait()
+
+
+def _popen(words: list[str], *, stdin: int, output: int | IO[bytes], cwd: Path | None) -> subprocess.Popen[bytes]:
+    code = str(Path(morph_core.__file__).resolve().parents[1])
+    environment = {name: value for name, value in os.environ.items() if name != "MORPH_TOKEN"}
+    environment |= {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    environment["PYTHONPATH"] = os.pathsep.join(p for p in (code, environment.get("PYTHONPATH")) if p)
+    # -P: code that lies in a run folder from elsewhere must not be imported.
+    command = [sys.executable, "-P", "-m", "morph_core.train", *words]
+    return subprocess.Popen(
+        command, stdin=stdin, stdout=output, stderr=output, cwd=cwd, env=environment, start_new_session=True
+    )

@@ -1,0 +1,51 @@
+"""The trainer in reserve: used once, replaced if dead, gone with the server."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from morph_core.history import History
+from studio.new_run import prepare_run
+from studio.trainers import Reserve
+
+TINY = {"trajectories": 4, "epochs": 1, "minibatches": 1, "proxy_prefit": 5, "search_generations": 2, "hidden": 8}
+
+
+def finished(history: History) -> bool:
+    history.poll()
+    return history.status == "finished"
+
+
+@pytest.mark.parametrize("dead", [False, True])
+def test_a_run_is_trained_by_the_reserve_or_without_it(tmp_path: Path, dead: bool) -> None:
+    folder = prepare_run(tmp_path, task="reacher", iterations=2, settings=TINY)
+    reserve = Reserve()
+    reserve.load()
+    ready = reserve._ready
+    assert ready is not None
+    if dead:
+        ready.kill()
+        ready.wait()
+    trainer = reserve.spawn(folder)
+    assert (trainer.pid == ready.pid) is not dead
+    reserve.close()
+    assert trainer.wait(120) == 0
+    assert finished(History(folder))
+    assert (folder.path / "trainer.log").exists()
+
+
+def test_the_reserve_goes_with_the_server(tmp_path: Path) -> None:
+    reserve = Reserve()
+    reserve.load()
+    ready = reserve._ready
+    assert ready is not None
+    reserve.load()
+    assert reserve._ready is ready
+    began = time.monotonic()
+    reserve.close()
+    assert ready.poll() is not None
+    assert time.monotonic() - began < 10
+    reserve.load()
+    assert reserve._ready is ready
+    assert not list(tmp_path.iterdir())
