@@ -83,4 +83,4 @@ def test_the_map_names_every_module_of_the_core() -> None:
 
 
 def test_the_picture_is_small() -> None:
-    assert (ROOT / "docs" / "studio.png").stat().st_size < 500_000
+    assert (ROOT / "docs" / "studio.gif").stat().st_size < 500_000
