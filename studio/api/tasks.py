@@ -8,6 +8,7 @@ from morph_core.config import Method
 from morph_core.tasks import TASKS, make_task
 from studio.api.fields import fields_of
 from studio.api.messages import TaskInfo, TaskList, gives, reply
+from studio.preview import preview_svg
 
 
 def task_list() -> TaskList:
@@ -27,5 +28,9 @@ def tasks_router() -> APIRouter:
     @router.get("/tasks", responses=gives(TaskList), summary="Tasks, methods and settings")
     def tasks() -> Response:
         return reply(task_list())
+
+    @router.get("/tasks/{name}/preview.svg", response_class=Response, summary="The initial design, drawn flat")
+    def preview(name: str) -> Response:
+        return Response(preview_svg(name), media_type="image/svg+xml")
 
     return router

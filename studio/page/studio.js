@@ -8,6 +8,7 @@ const GIVEN_UP = "__given_up__";
 const find = (id) => document.getElementById(id);
 const [chooser, chip, statusWord, doing, progress] = ["chooser", "chip", "status", "doing", "progress"].map(find);
 const [banner, words, dismiss, viewer, loading, theme] = ["banner", "words", "dismiss", "viewer", "loading", "theme"].map(find);
+const [preview, first, title, plan] = ["preview", "first", "title", "plan"].map(find);
 
 let boot = null;
 let reachable = true;
@@ -16,8 +17,34 @@ let choosing = 0;
 
 // --- the viewer ------------------------------------------------------------------------------------------------------
 
+// While the viewer's client loads, which can take seconds, the page itself shows the task and offers the start.
+async function showPreview() {
+  const [{ tasks }, runs] = await Promise.all([ask("/api/tasks"), ask("/api/runs")]);
+  const current = runs.find((run) => run.current);
+  const task = tasks.find((each) => each.name === current?.task) ?? tasks[0];
+  preview.src = `/api/tasks/${task.name}/preview.svg`;
+  preview.hidden = false;
+  title.textContent = task.title;
+  plan.textContent = "method morph, seed 0, 100 iterations: change them in the viewer, or start at once";
+  first.dataset.task = task.name;
+  first.hidden = Boolean(current);
+}
+
+first.addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const button = first.querySelector("button");
+  button.disabled = true;
+  const body = JSON.stringify({ task: first.dataset.task });
+  const response = await fetch("/api/runs", { method: "POST", headers: { "Content-Type": "application/json" }, body });
+  if (!response.ok) say((await response.json()).detail, "run");
+  first.hidden = response.ok;
+  button.disabled = false;
+  await look();
+});
+
 function openViewer() {
   loading.hidden = false;
+  showPreview().catch(() => null); // the banner says what is wrong with the server
   viewer.src = document.documentElement.dataset.theme === "dark" ? "/viewer/?darkMode" : "/viewer/";
   const started = performance.now();
   const timer = setInterval(() => {
