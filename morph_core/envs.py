@@ -16,7 +16,7 @@ def _spaces(task: Task) -> tuple[Box, Box]:
     return Box(-np.inf, np.inf, (task.observation_size,), np.float32), Box(-1, 1, (task.action_size,), np.float32)
 
 
-def _finite(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _finite(action: np.ndarray, shape: tuple[int, ...] | None) -> np.ndarray:
     """Return the action as an array, or raise ValueError that says what is allowed."""
     array = np.asarray(action, dtype=float)
     if array.shape != shape or not np.isfinite(array).all():
@@ -92,7 +92,7 @@ class TaskVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         restarted = self._ended
-        transition = self.task.step(self._hw_phy, self._s, _finite(actions, self.action_space.shape or ()))
+        transition = self.task.step(self._hw_phy, self._s, _finite(actions, self.action_space.shape))
         self._s, self._steps = transition.s, self._steps + 1
         if restarted.any():
             fresh = self.task.reset(self._hw_phy, self.num_envs, self.np_random)

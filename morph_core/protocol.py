@@ -36,39 +36,39 @@ class Command(msgspec.Struct, frozen=True, tag_field="type", forbid_unknown_fiel
     """Base of all commands; applied between two iterations and acknowledged with the iteration."""
 
 
-class Pause(Command, tag="pause"):
+class Pause(Command, tag="pause", frozen=True):
     """Hold after the present iteration."""
 
 
-class Resume(Command, tag="resume"):
+class Resume(Command, tag="resume", frozen=True):
     """Go on after a pause."""
 
 
-class Step(Command, tag="step"):
+class Step(Command, tag="step", frozen=True):
     """Run one iteration, then hold."""
 
 
-class Stop(Command, tag="stop"):
+class Stop(Command, tag="stop", frozen=True):
     """Save a checkpoint and end the trainer; the run can be resumed."""
 
 
-class Checkpoint(Command, tag="checkpoint"):
+class Checkpoint(Command, tag="checkpoint", frozen=True):
     """Save a checkpoint now."""
 
 
-class SetAlpha(Command, tag="set_alpha"):
+class SetAlpha(Command, tag="set_alpha", frozen=True):
     """Set alpha, the weight of the divergence (>= 0)."""
 
     alpha: float
 
 
-class SetProjection(Command, tag="set_projection"):
+class SetProjection(Command, tag="set_projection", frozen=True):
     """Set the projection rule."""
 
     projection: Projection
 
 
-class SetBound(Command, tag="set_bound"):
+class SetBound(Command, tag="set_bound", frozen=True):
     """Set the bounds of one design parameter; lo < hi, inside the task's hard box."""
 
     name: str
@@ -76,20 +76,20 @@ class SetBound(Command, tag="set_bound"):
     hi: float
 
 
-class Lock(Command, tag="lock"):
+class Lock(Command, tag="lock", frozen=True):
     """Hold one design parameter at `value`, or at its present value."""
 
     name: str
     value: float | None = None
 
 
-class Unlock(Command, tag="unlock"):
+class Unlock(Command, tag="unlock", frozen=True):
     """Free one design parameter."""
 
     name: str
 
 
-class InjectDesign(Command, tag="inject_design"):
+class InjectDesign(Command, tag="inject_design", frozen=True):
     """Continue from this phi, in the order of the design space."""
 
     phi: list[float]
@@ -117,7 +117,7 @@ class Event(msgspec.Struct, frozen=True, tag_field="kind", kw_only=True):
     time: float = 0.0
 
 
-class StateChanged(Event, tag="state"):
+class StateChanged(Event, tag="state", frozen=True):
     """The trainer entered `status`. After `starting`, progress beyond `iteration` is void (a resume rewinds)."""
 
     status: Status
@@ -125,7 +125,7 @@ class StateChanged(Event, tag="state"):
     message: str = ""
 
 
-class Progress(Event, tag="progress"):
+class Progress(Event, tag="progress", frozen=True):
     """One iteration of a method. A metric that is not defined in this iteration or method is None."""
 
     iteration: int
@@ -154,7 +154,7 @@ class Progress(Event, tag="progress"):
     """CPU time of the trainer since its first iteration, all resumes summed."""
 
 
-class Evaluation(Event, tag="evaluation"):
+class Evaluation(Event, tag="evaluation", frozen=True):
     """The policy on Hw-Phy with the present phi. `rollout` names the recorded episode, relative to the run."""
 
     iteration: int
@@ -168,7 +168,7 @@ class Evaluation(Event, tag="evaluation"):
     cpu_seconds: float = 0.0
 
 
-class Acknowledged(Event, tag="command"):
+class Acknowledged(Event, tag="command", frozen=True):
     """The trainer took a command: `accepted` and in force from `iteration` + 1 on, or refused with the reason."""
 
     id: int
@@ -178,7 +178,7 @@ class Acknowledged(Event, tag="command"):
     message: str = ""
 
 
-class DesignSpaceChanged(Event, tag="design_space"):
+class DesignSpaceChanged(Event, tag="design_space", frozen=True):
     """The bounds or locks now in force."""
 
     iteration: int

@@ -40,7 +40,7 @@ class Rollout:
     @property
     def successes(self) -> np.ndarray:
         """(N,) bool: whether each episode reached the goal."""
-        return (self.success & self.alive).any(0)
+        return np.any(self.success & self.alive, axis=0)
 
 
 def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray) -> Rollout:

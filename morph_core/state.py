@@ -51,7 +51,7 @@ def start(task: Task, config: Config, seed: int, design_space: DesignSpace | Non
     """Return the state before the first iteration; everything random in a run comes from `seed`."""
     space = design_space or task.design_space
     weights = torch.Generator().manual_seed(seed)
-    policy, critic, proxy = (kind(task, config, weights) for kind in (Policy, Critic, Proxy))
+    policy, critic, proxy = Policy(task, config, weights), Critic(task, config, weights), Proxy(task, config, weights)
     learner = Learner(
         policy, critic, proxy,
         torch.optim.Adam([*policy.parameters(), *critic.parameters()], config.learning_rate, fused=True),

@@ -270,8 +270,8 @@ class Reacher:
             "collision": -self.collision_weight * blocked,
             "goal": self.goal_bonus * touch,
         }
-        terms = {name: self.reward_scale * np.where(stuck, 0.0, term) for name, term in terms.items()}
-        terms["stuck"] = -self.reward_scale * self.stuck_cost * stuck
+        terms = {name: np.where(stuck, 0.0, term) for name, term in terms.items()} | {"stuck": -self.stuck_cost * stuck}
+        terms = {name: self.reward_scale * term for name, term in terms.items()}
         return Transition(after, a, z, sum(terms.values(), np.zeros(len(s))), terms, touch, touch, contact)
 
     def _sweep(self, arm: ForwardKinematics, q: np.ndarray, wish: np.ndarray) -> tuple[np.ndarray, ...]:
