@@ -38,7 +38,7 @@ def deepest_penetration(task: Reacher, phi: np.ndarray, rollout: Rollout) -> flo
         for j in reversed(range(LINKS)):
             postures = np.repeat(q[None], len(parts), 0)
             postures[:, j] += parts[:, 0] * a[j]
-            worst = max(worst, float(task.walls.depth(arm.outline(postures)).max()))
+            worst = max(worst, float(task.walls.depth(*arm.outline(postures).T).max()))
             q[j] += a[j]
     return worst
 

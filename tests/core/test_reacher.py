@@ -28,7 +28,7 @@ def brute_depth(tunnel_name: str, outline: np.ndarray) -> float:
 @given(st.sampled_from(sorted(TUNNELS)), seeds)
 def test_depth_is_that_of_a_dense_sampling(name: str, seed: int) -> None:
     outline = np.random.default_rng(seed).uniform(-1, 8, (6, 2))
-    exact, sampled = float(TUNNELS[name].depth(outline)), brute_depth(name, outline)
+    exact, sampled = float(TUNNELS[name].depth(*outline.T)), brute_depth(name, outline)
     assert exact >= sampled - 1e-9
     if np.isfinite(sampled) and sampled > -0.2:
         assert exact == pytest.approx(sampled, abs=0.02)
@@ -38,12 +38,12 @@ def test_a_point_on_the_centre_line_is_free_and_one_beyond_the_gap_is_not() -> N
     tunnel = TUNNELS["zigzag"]
     for height, expected in ((4.2, -0.55), (4.2 + 0.6, 0.05), (4.2 - 0.6, 0.05)):
         link = np.array([[2.5, height], [2.5, height]])
-        assert float(tunnel.depth(link)) == pytest.approx(expected)
+        assert float(tunnel.depth(*link.T)) == pytest.approx(expected)
 
 
 def test_the_deepest_point_of_a_bend_crossing_is_the_bend() -> None:
-    link = np.array([[[1.2, 3.2], [3.8, 3.2]]])  # straight through the lower corner of the zigzag
-    assert TUNNELS["zigzag"].deepest(link)[0].tolist() == pytest.approx([2.5, 3.2])
+    x, y = np.array([[1.2], [3.8]]), np.array([[3.2], [3.2]])  # straight through the lower corner of the zigzag
+    assert TUNNELS["zigzag"].deepest(x, y)[0].tolist() == pytest.approx([2.5, 3.2])
 
 
 @settings(max_examples=25)
@@ -55,7 +55,7 @@ def test_a_sweep_never_ends_in_a_wall_nor_passes_through_one(phi: np.ndarray, se
     drift = rng.uniform(-1, 1, LINKS)
     for _ in range(15):
         step = task.step(arm, s, drift[None] + 0.5 * rng.standard_normal((1, LINKS)))
-        assert float(task.walls.depth(arm.outline(step.s[:, :LINKS]))[0]) < 2 * TOLERANCE
+        assert float(task.walls.depth(*arm.outline(step.s[0, :LINKS]).T)) < 2 * TOLERANCE
         assert np.isfinite(step.contact[0, 0]) == (np.abs(step.reward_terms["collision"][0]) > 0)
         s = step.s
 
@@ -66,7 +66,7 @@ def test_a_link_can_not_leap_through_a_wall() -> None:
     s = task.reset(arm, 1, np.random.default_rng(0))
     turn = np.zeros((1, LINKS))
     turn[0, -1] = np.deg2rad(-190)  # from straight up to straight down, clockwise: both ends are free
-    assert float(task.walls.depth(arm.outline(s[:, :LINKS] + turn))[0]) < 0
+    assert float(task.walls.depth(*arm.outline(s[0, :LINKS] + turn[0]).T)) < 0
     step = task.step(arm, s, turn / task.action_scale)
     assert abs(step.a[0, -1]) < abs(turn[0, -1])
     assert step.contact[0, 0] >= task.walls.xs[0] - 1e-6

@@ -12,8 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-import psutil
-
 from morph_core.protocol import Heartbeat
 from morph_core.run_folder import RunFolder, list_runs, process_alive
 
@@ -100,13 +98,3 @@ def beat_of(run: RunFolder) -> Heartbeat:
     beat = run.heartbeat()
     assert beat is not None
     return beat
-
-
-def trainers_of(run: RunFolder) -> list[int]:
-    """Return the pids of the trainer processes that hold this folder's name on their command line."""
-    pids = []
-    for process in psutil.process_iter(["pid", "cmdline"]):
-        words = process.info["cmdline"] or []
-        if "morph_core.train" in words and any(word.endswith(run.id) for word in words):
-            pids.append(process.info["pid"])
-    return pids
