@@ -290,7 +290,7 @@ _TRACES = {
         _cosines, "not measured so far by this method", bounds=(-1.05, 1.05),
     ),
     50: Trace(
-        "Proxy against Hw-Phy", "distance² of z", ("divergence of the proxy", "search cost"), _divergences,
+        "Proxy against Hw-Phy", "mean squared distance [m²]", ("divergence of the proxy", "search cost"), _divergences,
         "not measured so far by this method", logarithmic=True, colours=("#8a6be0", "#c9a400"),
     ),
 }  # fmt: skip

@@ -356,7 +356,7 @@ def test_a_disk_that_refuses_is_told_and_the_server_lives(served: Served, monkey
         raise OSError(28, "No space left on device")
 
     before = names(served)
-    monkeypatch.setattr("studio.runs.create_run", full)
+    monkeypatch.setattr("studio.new_run.create_run", full)
     assert "No space left" in refused(served.client.post("/api/runs", json={"task": "reacher"}), 503)
     assert names(served) == before
 

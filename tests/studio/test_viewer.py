@@ -235,11 +235,12 @@ def test_charts_are_never_given_empty_arrays_and_wait_for_their_first_value(page
             assert len({len(column) for column in chart.data}) == 1
             assert len(chart.data[0]) >= 2
     assert "Success on Hw-Phy" not in page.viewer.traces.charts
+    links = page.viewer.traces.charts["Design φ"]
+    assert eventually(lambda: page.show(folder) and links.data[1].tolist() == [3, 2, 2, 2])  # charts rest in between
     cosines = page.viewer.traces.charts["Agreement of g_task and g_hw"]
     np.testing.assert_allclose(cosines.data, [[2, 3], [-0.5, 0.5], [0.75, 0.25]])
     distances = page.viewer.traces.charts["Proxy against Hw-Phy"].data
     assert np.isnan(distances[1][1])  # no zero on a logarithmic axis
-    assert page.viewer.traces.charts["Design φ"].data[1].tolist() == [3, 2, 2, 2]
 
 
 def test_charts_go_when_a_run_without_their_values_is_opened(page: Page, folder: RunFolder, tmp_path: Path) -> None:
