@@ -20,7 +20,7 @@ from morph_core.protocol import AnyCommand, StateChanged
 from morph_core.run_folder import RunFolder, read_rollout
 from morph_core.state import start
 from morph_core.tasks import make_task
-from morph_core.train import apply_edit
+from morph_core.train import METHODS, apply_edit
 from tests.core.conftest import SMALL, make_run
 
 
@@ -97,6 +97,29 @@ def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp
     assert (history.progress[-1].alpha, history.progress[-1].projection) == (3.5, "one_sided")
     assert history.phi[1] == 1.25
     assert History(folder).design_space.parameters[0].hi == 2.0
+
+
+def test_a_steered_run_can_be_replayed_from_its_log(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=10**6)
+    trainer = spawn(folder)
+    history = History(folder)
+    edits = (protocol.SetAlpha(4.0), protocol.Lock("link_5"), protocol.SetBound("link_1", 0.5, 2.0), protocol.Stop())
+    for number, edit in enumerate(edits, 1):
+        folder.send(edit)
+        wait_for(history, lambda number=number: len(history.acknowledged) == number)
+    assert trainer.wait(30) == 0
+    history.poll()
+
+    task = make_task("reacher")
+    state = start(task, SMALL, history.record.seed)
+    replayed, method = [], METHODS["morph"](task, SMALL, state)
+    for recorded in history.progress:
+        for answer in history.acknowledged:
+            if answer.iteration == recorded.iteration - 1 and not isinstance(answer.command, protocol.Stop):
+                apply_edit(answer.command, state)
+        replayed.append(next(method).phi)
+    assert replayed == [p.phi for p in history.progress]
+    assert replayed[-1][0] <= 2.0
 
 
 def test_a_signal_stops_cleanly_and_leaves_a_resumable_run(tmp_path: Path) -> None:
