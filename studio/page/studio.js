@@ -48,8 +48,9 @@ function openViewer() {
   viewer.src = document.documentElement.dataset.theme === "dark" ? "/viewer/?darkMode" : "/viewer/";
   const started = performance.now();
   const timer = setInterval(() => {
-    const drawn = viewer.contentDocument?.querySelector("canvas");
-    if (drawn || performance.now() - started > PATIENCE) {
+    // The canvas comes early and stays empty until the server's panels and scene have arrived.
+    const arrived = viewer.contentDocument?.querySelector("canvas") && viewer.contentDocument.querySelector("[role=tab]");
+    if (arrived || performance.now() - started > PATIENCE) {
       clearInterval(timer);
       loading.hidden = true;
       focusViewer();
