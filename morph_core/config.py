@@ -60,7 +60,7 @@ class Config:
     """Adam's step for the proxy Hw-NN at the start."""
     proxy_prefit: int = 500
     """Supervised steps that fit the proxy to Hw-Phy at the initial design before line 1."""
-    kappa: float = 0.5
+    kappa: float = 0.3
     """Weight of the task's pull on the proxy under `exploration=design`."""
     z_sigma: float = 0.5
     """sigma_z: scale of the exploration of z under `exploration=design`, in units of z."""
@@ -70,7 +70,7 @@ class Config:
     """PPO's clip of the probability ratio of z under `exploration=gaussian`."""
     advantage_limit: float = 3.0
     """Standardised episode returns beyond this are clipped before they pull on proxy or phi."""
-    design_sigma: float = 0.8
+    design_sigma: float = 1.2
     """Sigma of the designs drawn around phi at the start, in units of each parameter's scale."""
     design_sigma_end: float = 0.2
     """The same at the end of the schedule (geometric in between)."""

@@ -1,0 +1,105 @@
+"""What watching costs the trainer: CPU seconds of the same run with viewers connected and with none.
+
+The viewers are raw websocket clients that take in everything a browser would: what a browser's own rendering takes
+from the machine is not what the trainer pays. Runs take turns, the seed is the same, and so must the designs be.
+"""
+
+import json
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import tyro
+from websockets.sync.client import connect
+
+from morph_core.history import History
+from morph_core.run_folder import RunFolder
+from tests.bench.latency import TOKEN, post
+
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [0, 0, 5], "fov": 1.0, "near": 0.01, "far": 100.0,
+    "image_height": 600, "image_width": 800, "look_at": [0, 0, 0], "up_direction": [0, 0, 1],
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Watching:
+    """How much to measure."""
+
+    viewers: int = 2
+    iterations: int = 40
+    pairs: int = 3
+    """Runs with viewers, and as many without."""
+
+
+def watch(port: int, ended: threading.Event, taken: list[int]) -> None:
+    """Read everything the viewer sends until the run has ended."""
+    origin = f"http://127.0.0.1:{port}"
+    with connect(
+        f"ws://127.0.0.1:{port}/viewer",
+        subprotocols=["viser-v1.1.1"],  # pyright: ignore[reportArgumentType]
+        origin=origin,  # pyright: ignore[reportArgumentType]
+        additional_headers={"Authorization": f"Bearer {TOKEN}"},
+        max_size=None,
+    ) as viewer:
+        viewer.send(msgspec.msgpack.encode(CAMERA))
+        while not ended.is_set():
+            try:
+                taken.append(len(viewer.recv(timeout=0.5)))
+            except TimeoutError:
+                continue
+
+
+def cost(port: int, runs: Path, viewers: int, iterations: int) -> tuple[float, float, list[float], int]:
+    """Return CPU and wall seconds of the trainer between its first and last iteration, the last phi, and bytes seen."""
+    ended, taken = threading.Event(), list[int]()
+    threads = [threading.Thread(target=watch, args=(port, ended, taken)) for _ in range(viewers)]
+    for thread in threads:
+        thread.start()
+    time.sleep(2)
+    run = post(f"http://127.0.0.1:{port}", "/api/runs", {"task": "reacher", "iterations": iterations})["id"]
+    history = History(RunFolder(runs / str(run)))
+    while history.status not in ("finished", "failed"):
+        time.sleep(0.1)
+        history.poll()
+    ended.set()
+    for thread in threads:
+        thread.join()
+    first, last = history.progress[0], history.progress[-1]
+    return last.cpu_seconds - first.cpu_seconds, last.time - first.time, last.phi, sum(taken)
+
+
+def main(options: Watching) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with tempfile.TemporaryDirectory() as runs:
+        command = [sys.executable, "-m", "studio.cli", "serve", "--no-browser", "--port", str(port), "--runs", runs]
+        server = subprocess.Popen([*command, "--token", TOKEN], stdout=subprocess.PIPE, text=True)
+        try:
+            assert server.stdout is not None
+            server.stdout.readline()
+            rows = []
+            for _ in range(options.pairs):
+                for viewers in (0, options.viewers):
+                    cpu, wall, phi, taken = cost(port, Path(runs), viewers, options.iterations)
+                    rows.append((viewers, cpu, wall, phi))
+                    print(f"{viewers} viewers: trainer {cpu:.2f} CPU-s, {wall:.2f} s, {taken / 1e6:.1f} MB seen")
+        finally:
+            server.terminate()
+            server.wait()
+    alone, watched = (np.array([row[1:3] for row in rows if bool(row[0]) is seen]) for seen in (False, True))
+    for label, without, seen in zip(("CPU", "wall"), np.median(alone, 0), np.median(watched, 0), strict=True):
+        print(f"{label}: {100 * (seen / without - 1):+.1f} % with {options.viewers} viewers (medians)")
+    print(f"same designs: {len({json.dumps(row[3]) for row in rows}) == 1}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Watching, description=__doc__))
