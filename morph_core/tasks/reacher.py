@@ -283,7 +283,7 @@ class Reacher:
         Return the executed changes (N, 5) rad, the share of the joints' moves that contact took (N,), and where the
         arm was stopped (N, 3) m.
         """
-        # Half of a run's time is spent here: joints first and in single precision, numpy is several times faster.
+        # Much of a run's time is spent here: joints first and in single precision, numpy is several times faster.
         x, y = (np.ascontiguousarray(c, np.float32) for c in arm.outline(q).T)  # (6, N)
         angle = wish.T.astype(np.float32)  # (5, N)
         done = np.ones_like(angle)  # share of each joint's move
@@ -292,12 +292,13 @@ class Reacher:
             reach = np.sqrt(((x[j + 1 :] - x[j]) ** 2 + (y[j + 1 :] - y[j]) ** 2).max(0))
             swing = np.abs(angle[j]) * reach
             near = (x[j:].max(0) + swing > self.walls.xs[0]).nonzero()[0]  # the others can't reach a wall
-            n = max(1, int(np.ceil(swing[near].max(initial=0.0) / self.sweep_resolution)))
-            parts = np.arange(1, n + 1, dtype=np.float32)[:, None] / np.float32(n)
+            # Each environment has its own number of postures, so that none depends on what the others do.
+            n = np.maximum(1, np.ceil(swing[near] / np.float32(self.sweep_resolution)))
+            parts = np.minimum(np.arange(1, n.max(initial=1) + 1, dtype=np.float32)[:, None] / n, 1)
             x_near, y_near = (c[j:].take(near, 1)[:, None] for c in (x, y))
             x_swept, y_swept = _turn(x_near, y_near, parts * angle[j, near])  # (6 - j, n, near)
             steps = np.logical_and.accumulate(self.walls.depth(x_swept, y_swept) < TOLERANCE, 0).sum(0)
-            done[j, near] = steps / n
+            done[j, near] = np.minimum(steps / n, 1)
             stopped = (steps < n).nonzero()[0]
             for refused, now, swept in ((x_refused, x, x_swept), (y_refused, y, y_swept)):
                 refused[:j, near[stopped]] = now[:j, near[stopped]]

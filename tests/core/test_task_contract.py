@@ -75,11 +75,13 @@ def test_environments_do_not_touch_each_other(task: Task) -> None:
     rng = np.random.default_rng(3)
     designs, action = random_designs(task, rng), rng.uniform(-1, 1, (N, task.action_size))
     s = task.reset(task.hw_phy(designs), N, rng)
-    together = task.step(task.hw_phy(designs), s, action)
-    for i in range(N):
-        alone = task.step(task.hw_phy(designs[i]), s[i : i + 1], action[i : i + 1])
-        assert np.allclose(alone.s[0], together.s[i], atol=1e-12)
-        assert np.allclose(alone.z[0], together.z[i], atol=1e-12)
+    for _ in range(task.horizon):
+        together = task.step(task.hw_phy(designs), s, action)
+        for i in range(N):
+            alone = task.step(task.hw_phy(designs[i]), s[i : i + 1], action[i : i + 1])
+            assert np.allclose(alone.s[0], together.s[i], atol=1e-12)
+            assert np.allclose(alone.z[0], together.z[i], atol=1e-12)
+        s = together.s
 
 
 def test_z_is_what_hw_phy_says_of_the_executed_action(task: Task) -> None:
