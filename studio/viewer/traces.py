@@ -81,6 +81,7 @@ class TracesPanel:
             self._charts = [
                 *self._charts[: len(_TRACES)],
                 _Chart(self._gui, self._tab, _phi_trace(history), _PHI_ORDER),
+                _Chart(self._gui, self._tab, _share_trace(history), _SHARE_ORDER),
             ]
         for chart in self._charts:
             chart.update(history)
@@ -238,7 +239,6 @@ def _phi_trace(history: History) -> Trace:
     space = history.design_space
     units = {p.unit for p in space.parameters}
     names = tuple(_plain(name) for name in space.names)
-    colours = _part_colours(history)
     several = len(units) > 1
     labels = tuple(f"{n} [{p.unit}]" if several else n for n, p in zip(names, space.parameters, strict=True))
     return Trace(
@@ -247,8 +247,28 @@ def _phi_trace(history: History) -> Trace:
         labels=labels,
         curves=_phis,
         empty="",
-        colours=tuple(colours.get(name, SERIES_COLOURS[i % len(SERIES_COLOURS)]) for i, name in enumerate(space.names)),
+        colours=_parameter_colours(history),
     )
+
+
+def _share_trace(history: History) -> Trace:
+    """Return the chart of the cosine along what each design parameter moves."""
+    return Trace(
+        title="Agreement by design parameter",
+        axis="cosine",
+        labels=tuple(_plain(name) for name in history.design_space.names),
+        curves=_shares,
+        empty="needs a method with a proxy, and a differentiable Hw-Phy",
+        bounds=(-1.05, 1.05),
+        colours=_parameter_colours(history),
+    )
+
+
+def _shares(history: History) -> Curves:
+    count = len(history.design_space)
+    rows = [p for p in history.progress if p.cosine_by_parameter and len(p.cosine_by_parameter) == count]
+    shares = np.array([[_number(share) for share in p.cosine_by_parameter or ()] for p in rows]).reshape(-1, count)
+    return np.array([float(p.iteration) for p in rows]), *shares.T
 
 
 def _phis(history: History) -> Curves:
@@ -259,14 +279,16 @@ def _phis(history: History) -> Curves:
     return x, *phi.T
 
 
-def _part_colours(history: History) -> dict[str, str]:
-    """Return the colour of each part of the design that bears a parameter's name."""
+def _parameter_colours(history: History) -> tuple[str, ...]:
+    """Return a colour for each parameter: that of the part of the design that bears its name, where there is one."""
     try:
         model = make_task(history.record.task, history.record.task_options).spec(history.initial_phi).compile()
+        parts = {model.geom(i).name: 255 * model.geom_rgba[i, :3] for i in range(model.ngeom)}
     except ValueError:  # a task of another version: its traces are still worth seeing
-        return {}
-    colours = {model.geom(i).name: 255 * model.geom_rgba[i, :3] for i in range(model.ngeom)}
-    return {name: f"rgb({r:.0f}, {g:.0f}, {b:.0f})" for name, (r, g, b) in colours.items()}
+        parts = {}
+    colours = {name: f"rgb({r:.0f}, {g:.0f}, {b:.0f})" for name, (r, g, b) in parts.items()}
+    names = history.design_space.names
+    return tuple(colours.get(name, SERIES_COLOURS[i % len(SERIES_COLOURS)]) for i, name in enumerate(names))
 
 
 def _plain(name: str) -> str:
@@ -278,7 +300,7 @@ def _equal(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> bool:
     return len(one) == len(other) and all(np.array_equal(a, b, equal_nan=True) for a, b in zip(one, other, strict=True))
 
 
-_PHI_ORDER = 20
+_PHI_ORDER, _SHARE_ORDER = 20, 45
 _TRACES = {
     30: Trace("Return on Hw-Phy", "return", ("sampled", "deterministic"), _returns, "waiting for the first evaluation"),
     10: Trace(

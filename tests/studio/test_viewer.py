@@ -131,7 +131,7 @@ def append(folder: RunFolder, *events: AnyEvent) -> None:
     log.close()
 
 
-def progress(iteration: int, **values: float) -> Progress:
+def progress(iteration: int, **values: object) -> Progress:
     known = {"env_steps": 100, "phi": [2.0] * 5, "episode_return": -1.0, "success": 0.0, "policy_std": 0.5}
     return Progress(iteration=iteration, **(known | values))  # pyright: ignore[reportArgumentType]
 
@@ -239,6 +239,12 @@ def test_charts_are_never_given_empty_arrays_and_wait_for_their_first_value(page
     assert eventually(lambda: page.show(folder) and links.data[1].tolist() == [3, 2, 2, 2])  # charts rest in between
     cosines = page.viewer.traces.charts["Agreement of g_task and g_hw"]
     np.testing.assert_allclose(cosines.data, [[2, 3], [-0.5, 0.5], [0.75, 0.25]])
+    assert "Agreement by design parameter" not in page.viewer.traces.charts  # not defined so far
+    append(folder, progress(4, cosine_by_parameter=[-0.5, None, 0.5, 1.0, -1.0]), progress(5))
+    assert eventually(lambda: page.show(folder) and "Agreement by design parameter" in page.viewer.traces.charts)
+    shares = page.viewer.traces.charts["Agreement by design parameter"].data
+    assert shares[1][0] == -0.5
+    assert np.isnan(shares[2]).all()
     distances = page.viewer.traces.charts["Proxy against Hw-Phy"].data
     assert np.isnan(distances[1][1])  # no zero on a logarithmic axis
 
