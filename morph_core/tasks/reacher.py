@@ -156,7 +156,7 @@ class Reacher:
     """rad: largest change of a joint angle per control step."""
     start_noise: float = 0.05
     """rad: standard deviation of each joint angle at the start."""
-    sweep_resolution: float = 0.06
+    sweep_resolution: float = 0.015
     """m: no point of the arm moves further than this between two postures tested for collision."""
     distance_weight: float = 1.0
     """Reward per metre between tip and goal (enters with a minus)."""

@@ -30,14 +30,14 @@ class Resweep:
 
 def deepest_penetration(task: Reacher, phi: np.ndarray, rollout: Rollout) -> float:
     """Return the largest depth (m) of any link in a wall along the executed moves, in fine steps."""
-    parts = np.arange(1, FINER * task.sweep_substeps + 1)[:, None] / (FINER * task.sweep_substeps)
     arm = task.hw_phy(phi)
     worst = -np.inf
     for s, a in zip(rollout.s[rollout.alive], rollout.a[rollout.alive], strict=True):
         q = s[:LINKS].copy()
         for j in reversed(range(LINKS)):
-            postures = np.repeat(q[None], len(parts), 0)
-            postures[:, j] += parts[:, 0] * a[j]
+            swing = abs(a[j]) * phi[j:].sum()  # at least as far as any point moves
+            postures = np.repeat(q[None], 1 + int(FINER * swing / task.sweep_resolution), 0)
+            postures[:, j] += np.linspace(0, 1, len(postures) + 1)[1:] * a[j]
             worst = max(worst, float(task.walls.depth(*arm.outline(postures).T).max()))
             q[j] += a[j]
     return worst
@@ -46,7 +46,7 @@ def deepest_penetration(task: Reacher, phi: np.ndarray, rollout: Rollout) -> flo
 def main(options: Resweep) -> None:
     torch.set_num_threads(1)
     task = Reacher()
-    finer = replace(task, sweep_substeps=FINER * task.sweep_substeps)
+    finer = replace(task, sweep_resolution=task.sweep_resolution / FINER)
     print("policy | success | with the finer sweep | deepest link in a wall (m), over 32 episodes")
     for path in options.checkpoints:
         folder = RunFolder(path)
@@ -56,11 +56,11 @@ def main(options: Resweep) -> None:
             for world in (task, finer):
                 rng = np.random.default_rng(1)
                 score, _ = evaluate(world, state.learner.policy, state.phi, options.episodes, rng, sampled)
-                success[sampled, world.sweep_substeps] = score.success
+                success[sampled, world.sweep_resolution] = score.success
         _, rollout = evaluate(task, state.learner.policy, state.phi, 32, np.random.default_rng(2), sampled=True)
         columns = [
-            f"sampled {success[True, n]:.3f} det {success[False, n]:.3f}"
-            for n in (task.sweep_substeps, finer.sweep_substeps)
+            f"sampled {success[True, step]:.3f} det {success[False, step]:.3f}"
+            for step in (task.sweep_resolution, finer.sweep_resolution)
         ]
         print(path.name, *columns, f"{deepest_penetration(task, state.phi, rollout):.3f}", sep=" | ", flush=True)
 
