@@ -7,7 +7,7 @@ from fastapi import APIRouter, Response
 from morph_core.config import Method
 from morph_core.tasks import TASKS, make_task
 from studio.api.fields import fields_of
-from studio.api.messages import TaskInfo, TaskList, gives, reply
+from studio.api.messages import TaskInfo, TaskList, gives, gives_file, reply
 from studio.preview import preview_svg
 
 
@@ -29,7 +29,9 @@ def tasks_router() -> APIRouter:
     def tasks() -> Response:
         return reply(task_list())
 
-    @router.get("/tasks/{name}/preview.svg", response_class=Response, summary="The initial design, drawn flat")
+    @router.get(
+        "/tasks/{name}/preview.svg", responses=gives_file("image/svg+xml", "The picture"), summary="The initial design"
+    )
     def preview(name: str) -> Response:
         return Response(preview_svg(name), media_type="image/svg+xml")
 
