@@ -28,6 +28,8 @@ class Latency:
 
     commands: int = 20
     task: str = "reacher"
+    before_start: float = 4.0
+    """Seconds between the server's start and the run's: what a person takes to press Start."""
 
 
 def post(base: str, path: str, body: dict[str, object]) -> dict[str, object]:
@@ -49,13 +51,18 @@ def main(options: Latency) -> None:
             assert server.stdout is not None
             server.stdout.readline()
             base = f"http://127.0.0.1:{port}"
+            time.sleep(options.before_start)
             began = time.monotonic()
             run = str(post(base, "/api/runs", {"task": options.task, "iterations": 100_000})["id"])
             history = History(RunFolder(Path(runs) / run))
-            while not history.progress:
+            while history.heartbeat is None:
                 time.sleep(0.01)
                 history.poll()
-            print(f"start to the first iteration: {time.monotonic() - began:.2f} s")
+            print(f"start to the first stage: {time.monotonic() - began:.2f} s")
+            while history.heartbeat is None or history.heartbeat.eta_seconds is None:
+                time.sleep(0.01)
+                history.poll()
+            print(f"start to progress and ETA: {time.monotonic() - began:.2f} s")
             measure(base, run, history, options.commands)
             post(base, f"/api/runs/{run}/commands", {"type": "stop"})
             while history.status != "stopped":
