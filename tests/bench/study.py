@@ -62,6 +62,8 @@ class Row:
     """Success over the final episodes."""
     deterministic: float = 0.0
     episode_return: float = 0.0
+    explored: float = 0.0
+    """The largest share of an iteration's trajectories that succeeded."""
     phi: list[float] = field(default_factory=list)
     negative: float | None = None
     """Mean share of gradient steps with a negative cosine."""
@@ -92,6 +94,7 @@ def run_one(study: Study, settings: dict[str, Any], options: dict[str, Any], see
                 row.deterministic_80 = reached
         if progress.env_steps >= study.env_steps:
             break
+    row.explored = max(p.success for p in history)
     row.env_steps, row.cpu_seconds = state.env_steps, time.process_time() - began
     rng = np.random.default_rng([seed, 10**6])
     last, _ = evaluate(task, state.learner.policy, state.phi, FINAL_EPISODES, rng, sampled=True)
@@ -138,7 +141,7 @@ def _line(row: Row) -> str:
     return (
         f"{row.method} {row.settings} s{row.seed}: {row.env_steps / 1e6:.2f} M {row.cpu_seconds:.0f} CPU-s | "
         f"sampled .95 {when(row.sampled_95)}, det .80 {when(row.deterministic_80)} | end sampled {row.sampled:.2f} "
-        f"det {row.deterministic:.2f} return {row.episode_return:.2f}{extra} | phi {np.round(row.phi, 2).tolist()}"
+        f"det {row.deterministic:.2f} explored <= {row.explored:.3f} return {row.episode_return:.2f}{extra} | phi {np.round(row.phi, 2).tolist()}"
     )
 
 
