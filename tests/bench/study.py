@@ -141,7 +141,8 @@ def _line(row: Row) -> str:
     return (
         f"{row.method} {row.settings} s{row.seed}: {row.env_steps / 1e6:.2f} M {row.cpu_seconds:.0f} CPU-s | "
         f"sampled .95 {when(row.sampled_95)}, det .80 {when(row.deterministic_80)} | end sampled {row.sampled:.2f} "
-        f"det {row.deterministic:.2f} explored <= {row.explored:.3f} return {row.episode_return:.2f}{extra} | phi {np.round(row.phi, 2).tolist()}"
+        f"det {row.deterministic:.2f} return {row.episode_return:.2f} explored <= {row.explored:.3f}{extra} | "
+        f"phi {np.round(row.phi, 2).tolist()}"
     )
 
 
