@@ -1,17 +1,25 @@
-"""What share of the reacher's box can pass the tunnel at all: a lower bound by a planner.
+"""What share of the reacher's box can pass the tunnel at all: a lower bound by searching with trained policies.
 
-For every sampled design a rapidly exploring random tree grows through the task's own `step`, so that each edge is a
-move the arm can execute. A design counts as feasible when a node touches the goal within the episode's horizon; one
-that does not is only not shown to be. `--fixed` plans for the initial design alone, many trees at once.
+Designs are drawn uniformly from the box and each is tried by several policies, many sampled episodes each: those of
+the given checkpoints (what `study.py --checkpoints` wrote), and one that is trained here on the box itself, a new
+design every episode. A design that touches the goal once is feasible; one that never does is only not shown to be.
 """
 
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import torch
 import tyro
 
+from morph_core.checkpoint import load_checkpoint
+from morph_core.networks import Policy
+from morph_core.objective import improve_control, make_batch, set_learning_rates
+from morph_core.rollout import collect
+from morph_core.run_folder import RunFolder
+from morph_core.state import start
 from morph_core.tasks.reacher import LINKS, Reacher
 
 
@@ -19,68 +27,63 @@ from morph_core.tasks.reacher import LINKS, Reacher
 class Feasible:
     """How hard to look."""
 
-    designs: int = 256
-    nodes: int = 3000
-    """Nodes per tree."""
+    checkpoints: tyro.conf.Positional[tuple[Path, ...]] = ()
+    designs: int = 512
+    episodes: int = 16
+    """Episodes per design and policy."""
+    iterations: int = 150
+    """Iterations for which a policy is trained on the box itself."""
     tunnel: Literal["zigzag", "paper"] = "zigzag"
-    fixed: bool = False
-    """Plan for the initial design only: `designs` independent trees for it."""
-    goal_bias: float = 0.5
-    """Share of expansions from the node that is nearest to the goal along the centre line."""
     seed: int = 0
 
 
-def progress_along(task: Reacher, tip: np.ndarray) -> np.ndarray:
-    """Return (...) how far a tip (..., 2) is from the goal: the way along the centre line, plus what it is off it."""
-    walls = task.walls
-    line = np.array([*zip(walls.xs, walls.ys, strict=True), walls.goal])
-    segments = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    ahead = np.append(np.cumsum(segments[::-1])[::-1], 0.0)
-    return np.min(np.linalg.norm(tip[..., None, :] - line, axis=-1) + ahead, axis=-1)
+def draw(task: Reacher, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return designs (N, 5) m, uniform in the box."""
+    return rng.uniform(task.design_space.lo, task.design_space.hi, (count, LINKS))
 
 
-def plan(task: Reacher, designs: np.ndarray, options: Feasible, rng: np.random.Generator) -> np.ndarray:
-    """Return (N,) bool: for which designs (N, d) a way was found."""
-    count, rows = len(designs), np.arange(len(designs))
-    arm = task.hw_phy(designs)
-    first = task.reset(arm, count, rng)
-    nodes = np.zeros((options.nodes, count, task.state_size))
-    depth = np.zeros((options.nodes, count), dtype=int)
-    cost = np.full((options.nodes, count), np.inf)
-    nodes[0], cost[0] = first, progress_along(task, first[:, LINKS : LINKS + 2])
-    found = np.zeros(count, dtype=bool)
-    for n in range(1, options.nodes):
-        target = rng.uniform(-1, 1, (count, LINKS)) * np.array([np.pi, 2.8, 2.8, 2.8, 2.8])
-        target[:, 0] += np.pi / 2
-        distance = np.abs(nodes[:n, :, :LINKS] - target).sum(-1)
-        # Greedy growth draws among the best few nodes: the very best is often at a dead end.
-        jitter = cost[:n] + rng.exponential(0.3, (n, count))
-        usable = depth[:n] < task.horizon
-        chosen = np.where(usable, np.where(rng.random(count) < options.goal_bias, jitter, distance), np.inf).argmin(0)
-        s = nodes[chosen, rows]
-        towards = (target - s[:, :LINKS]) / task.action_scale
-        action = np.where(rng.random((count, 1)) < 0.5, towards, rng.uniform(-1, 1, (count, LINKS)))
-        step = task.step(arm, s, action)
-        nodes[n], depth[n] = step.s, depth[chosen, rows] + 1
-        cost[n] = progress_along(task, step.s[:, LINKS : LINKS + 2])
-        found |= step.success
-    return found
+def train_on_the_box(task: Reacher, iterations: int, seed: int) -> Policy:
+    """Return a policy that has met a new design in every episode."""
+    config, state = task.config, start(task, task.config, seed)
+    for iteration in range(1, iterations + 1):
+        set_learning_rates(state.learner, iteration, config)
+        hw_phy = task.hw_phy(draw(task, config.trajectories, state.rng))
+        s = task.reset(hw_phy, config.trajectories, state.rng)
+        rollout = collect(task, lambda observation: state.learner.policy.act(observation, state.rng), hw_phy, s)
+        improve_control(state, make_batch(task, state.learner, rollout, config), iteration, config)
+    return state.learner.policy
+
+
+def touches(task: Reacher, policy: Policy, designs: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return (N,) bool: which designs touched the goal in one sampled episode each."""
+    hw_phy = task.hw_phy(designs)
+    start_states = task.reset(hw_phy, len(designs), rng)
+    return collect(task, lambda observation: policy.act(observation, rng), hw_phy, start_states).successes
 
 
 def main(options: Feasible) -> None:
-    task = Reacher(tunnel=options.tunnel)
-    rng = np.random.default_rng(options.seed)
-    space = task.design_space
-    designs = rng.uniform(space.lo, space.hi, (options.designs, LINKS))
-    if options.fixed:
-        designs = np.tile(space.initial, (options.designs, 1))
-    began = time.process_time()
-    found = plan(task, designs, options, rng)
+    torch.set_num_threads(1)
+    task, rng, began = Reacher(tunnel=options.tunnel), np.random.default_rng(options.seed), time.process_time()
+    policies = {"trained on the box": train_on_the_box(task, options.iterations, options.seed)}
+    for path in options.checkpoints:
+        folder = RunFolder(path)
+        state, _ = load_checkpoint(folder, folder.checkpoint_iterations()[-1], task, task.config)
+        policies[path.name] = state.learner.policy
+    designs = draw(task, options.designs, rng)
+    initial = np.tile(task.design_space.initial, (options.designs, 1))
+    found, found_initial = np.zeros(options.designs, dtype=bool), 0
+    for name, policy in policies.items():
+        passed = np.zeros_like(found)
+        for _ in range(options.episodes):
+            passed |= touches(task, policy, designs, rng)
+            found_initial += int(touches(task, policy, initial, rng).sum())
+        found |= passed
+        print(f"{name}: {passed.sum()} of {options.designs} designs", flush=True)
     share = found.mean()
     error = np.sqrt(share * (1 - share) / len(found))
-    what = "trees for the initial design" if options.fixed else "designs drawn from the box"
-    print(f"{options.tunnel}: {found.sum()} of {len(found)} {what} pass: {share:.1%} +- {error:.1%}", end="")
-    print(f" ({options.nodes} nodes each, {time.process_time() - began:.0f} CPU-s)")
+    tried = options.designs * options.episodes * len(policies)
+    print(f"{options.tunnel}: at least {share:.1%} +- {error:.1%} of the box passes ({len(policies)} policies)")
+    print(f"the initial design: {found_initial} touches in {tried} episodes; {time.process_time() - began:.0f} CPU-s")
 
 
 if __name__ == "__main__":
