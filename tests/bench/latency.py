@@ -3,6 +3,7 @@
 Starts a real server and a real trainer, sends alternating values of alpha through the API, and reads the log.
 """
 
+import contextlib
 import json
 import socket
 import subprocess
@@ -10,6 +11,7 @@ import sys
 import tempfile
 import time
 import urllib.request
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,7 +42,9 @@ def post(base: str, path: str, body: dict[str, object]) -> dict[str, object]:
         return json.load(response)
 
 
-def main(options: Latency) -> None:
+@contextlib.contextmanager
+def served() -> Iterator[tuple[int, Path]]:
+    """Run a real server; give its port and its folder of runs."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -50,27 +54,32 @@ def main(options: Latency) -> None:
         try:
             assert server.stdout is not None
             server.stdout.readline()
-            base = f"http://127.0.0.1:{port}"
-            time.sleep(options.before_start)
-            began = time.monotonic()
-            run = str(post(base, "/api/runs", {"task": options.task, "iterations": 100_000})["id"])
-            history = History(RunFolder(Path(runs) / run))
-            while history.heartbeat is None:
-                time.sleep(0.01)
-                history.poll()
-            print(f"start to the first stage: {time.monotonic() - began:.2f} s")
-            while history.heartbeat is None or history.heartbeat.eta_seconds is None:
-                time.sleep(0.01)
-                history.poll()
-            print(f"start to progress and ETA: {time.monotonic() - began:.2f} s")
-            measure(base, run, history, options.commands)
-            post(base, f"/api/runs/{run}/commands", {"type": "stop"})
-            while history.status != "stopped":
-                time.sleep(0.05)
-                history.poll()
+            yield port, Path(runs)
         finally:
             server.terminate()
             server.wait()
+
+
+def main(options: Latency) -> None:
+    with served() as (port, runs):
+        base = f"http://127.0.0.1:{port}"
+        time.sleep(options.before_start)
+        began = time.monotonic()
+        run = str(post(base, "/api/runs", {"task": options.task, "iterations": 100_000})["id"])
+        history = History(RunFolder(runs / run))
+        while history.heartbeat is None:
+            time.sleep(0.01)
+            history.poll()
+        print(f"start to the first stage: {time.monotonic() - began:.2f} s")
+        while history.heartbeat is None or history.heartbeat.eta_seconds is None:
+            time.sleep(0.01)
+            history.poll()
+        print(f"start to progress and ETA: {time.monotonic() - began:.2f} s")
+        measure(base, run, history, options.commands)
+        post(base, f"/api/runs/{run}/commands", {"type": "stop"})
+        while history.status != "stopped":
+            time.sleep(0.05)
+            history.poll()
 
 
 def measure(base: str, run: str, history: History, commands: int) -> None:

@@ -5,10 +5,6 @@ from the machine is not what the trainer pays. Runs take turns, the seed is the 
 """
 
 import json
-import socket
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 from dataclasses import dataclass
@@ -21,7 +17,7 @@ from websockets.sync.client import connect
 
 from morph_core.history import History
 from morph_core.run_folder import RunFolder
-from tests.bench.latency import TOKEN, post
+from tests.bench.latency import TOKEN, post, served
 
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [0, 0, 5], "fov": 1.0, "near": 0.01, "far": 100.0,
@@ -77,24 +73,13 @@ def cost(port: int, runs: Path, viewers: int, iterations: int) -> tuple[float, f
 
 
 def main(options: Watching) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    with tempfile.TemporaryDirectory() as runs:
-        command = [sys.executable, "-m", "studio.cli", "serve", "--no-browser", "--port", str(port), "--runs", runs]
-        server = subprocess.Popen([*command, "--token", TOKEN], stdout=subprocess.PIPE, text=True)
-        try:
-            assert server.stdout is not None
-            server.stdout.readline()
-            rows = []
-            for _ in range(options.pairs):
-                for viewers in (0, options.viewers):
-                    cpu, wall, phi, taken = cost(port, Path(runs), viewers, options.iterations)
-                    rows.append((viewers, cpu, wall, phi))
-                    print(f"{viewers} viewers: trainer {cpu:.2f} CPU-s, {wall:.2f} s, {taken / 1e6:.1f} MB seen")
-        finally:
-            server.terminate()
-            server.wait()
+    rows = []
+    with served() as (port, runs):
+        for _ in range(options.pairs):
+            for viewers in (0, options.viewers):
+                cpu, wall, phi, taken = cost(port, runs, viewers, options.iterations)
+                rows.append((viewers, cpu, wall, phi))
+                print(f"{viewers} viewers: trainer {cpu:.2f} CPU-s, {wall:.2f} s, {taken / 1e6:.1f} MB seen")
     alone, watched = (np.array([row[1:3] for row in rows if bool(row[0]) is seen]) for seen in (False, True))
     for label, without, seen in zip(("CPU", "wall"), np.median(alone, 0), np.median(watched, 0), strict=True):
         print(f"{label}: {100 * (seen / without - 1):+.1f} % with {options.viewers} viewers (medians)")
