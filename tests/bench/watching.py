@@ -13,11 +13,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import tyro
+from latency import TOKEN, post, served
 from websockets.sync.client import connect
 
 from morph_core.history import History
 from morph_core.run_folder import RunFolder
-from tests.bench.latency import TOKEN, post, served
 
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [0, 0, 5], "fov": 1.0, "near": 0.01, "far": 100.0,
