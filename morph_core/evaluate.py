@@ -16,20 +16,17 @@ from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.tasks import make_task
 
 
-def evaluate_run(
-    folder: RunFolder, which: str, episodes: int, seed: int = 0, task_options: dict[str, object] | None = None
-) -> dict[str, object]:
+def evaluate_run(folder: RunFolder, which: str, episodes: int, seed: int = 0) -> dict[str, object]:
     """Return success and return of design `which` with the policy of the newest checkpoint up to its iteration.
 
-    `task_options` override the run's own, to test it under other conditions. Raise RunFolderError where there is no
-    such design or policy.
+    Raise RunFolderError where there is no such design or policy.
     """
     history = History(folder)
     iteration, phi = history.design(which)
     saved = [i for i in folder.checkpoint_iterations() if i <= iteration]
     if not saved:
         raise RunFolderError(f"{folder.id} has no checkpoint up to iteration {iteration}: no policy to evaluate")
-    task = make_task(history.record.task, {**history.record.task_options, **(task_options or {})})
+    task = make_task(history.record.task, history.record.task_options)
     state, _ = load_checkpoint(folder, saved[-1], task, config_from(history.record.config))
     scores = {}
     for name, sampled in (("sampled", True), ("deterministic", False)):

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from morph_core.config import Config
 from morph_core.networks import Proxy, log_normal
-from morph_core.rollout import Rollout
+from morph_core.rollout import Rollout, collect
 from morph_core.state import State
 from morph_core.task import Hardware, Task
 
@@ -81,6 +81,12 @@ class GaussianProxy:
     def __call__(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
         z = self.proxy.hardware(s, a)
         return z + self.sigma * self.rng.standard_normal(z.shape)
+
+
+def run_trajectories(task: Task, state: State, world: Hardware, config: Config) -> Rollout:
+    """Sample H trajectories of the present policy in a world."""
+    start = task.reset(world, config.trajectories, state.rng)
+    return collect(task, lambda observation: state.learner.policy.act(observation, state.rng), world, start)
 
 
 def explored_world(task: Task, state: State, config: Config, sigma: float) -> Hardware:

@@ -7,10 +7,9 @@ import torch
 
 from morph_core.config import Config
 from morph_core.derive import derive_design, relabel
-from morph_core.exploration import clipped_pull, design_sigma, explored_world, linearised_pull
+from morph_core.exploration import clipped_pull, design_sigma, explored_world, linearised_pull, run_trajectories
 from morph_core.objective import fit_proxy, improve_control, improve_proxy, make_batch, set_learning_rates
 from morph_core.protocol import Progress
-from morph_core.rollout import collect
 from morph_core.state import State
 from morph_core.task import Task
 
@@ -27,8 +26,7 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
         hw_phy = task.hw_phy(state.phi)
 
         world = explored_world(task, state, config, sigma)  # line 2
-        start = task.reset(world, config.trajectories, state.rng)
-        rollout = collect(task, lambda observation: learner.policy.act(observation, state.rng), world, start)
+        rollout = run_trajectories(task, state, world, config)
 
         batch = make_batch(task, learner, rollout, config)  # line 3, Eq. 2
         s, a = rollout.s[rollout.alive], rollout.a[rollout.alive]

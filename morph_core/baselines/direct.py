@@ -4,10 +4,9 @@ import itertools
 from collections.abc import Iterator
 
 from morph_core.config import Config
-from morph_core.exploration import design_sigma, episode_advantage, explore_designs
+from morph_core.exploration import design_sigma, episode_advantage, explore_designs, run_trajectories
 from morph_core.objective import improve_control, make_batch, set_learning_rates
 from morph_core.protocol import Progress
-from morph_core.rollout import collect
 from morph_core.state import State
 from morph_core.task import Task
 
@@ -20,8 +19,7 @@ def direct(task: Task, config: Config, state: State) -> Iterator[Progress]:
         set_learning_rates(learner, iteration, config)
         designs = explore_designs(state, config.trajectories, sigma)
         hw_phy = task.hw_phy(designs)
-        start = task.reset(hw_phy, config.trajectories, state.rng)
-        rollout = collect(task, lambda observation: learner.policy.act(observation, state.rng), hw_phy, start)
+        rollout = run_trajectories(task, state, hw_phy, config)
         improve_control(state, make_batch(task, learner, rollout, config), iteration, config)
         advantage = episode_advantage(rollout.returns, config.advantage_limit)
         step = (advantage[:, None] * (designs - state.phi)).mean(0)  # E[A (phi_i - phi)], the natural gradient

@@ -4,9 +4,9 @@ import itertools
 from collections.abc import Iterator
 
 from morph_core.config import Config
+from morph_core.exploration import run_trajectories
 from morph_core.objective import improve_control, make_batch, set_learning_rates
 from morph_core.protocol import Progress
-from morph_core.rollout import collect
 from morph_core.state import State
 from morph_core.task import Task
 
@@ -17,8 +17,7 @@ def no_hw_opt(task: Task, config: Config, state: State) -> Iterator[Progress]:
     for iteration in itertools.count(state.iteration + 1):
         set_learning_rates(learner, iteration, config)
         hw_phy = task.hw_phy(state.phi)
-        start = task.reset(hw_phy, config.trajectories, state.rng)
-        rollout = collect(task, lambda observation: learner.policy.act(observation, state.rng), hw_phy, start)
+        rollout = run_trajectories(task, state, hw_phy, config)
         improve_control(state, make_batch(task, learner, rollout, config), iteration, config)
         state.iteration, state.env_steps = iteration, state.env_steps + rollout.steps
         yield Progress(
