@@ -31,6 +31,8 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
         facts = {
             "iteration": state.iteration,
             "env_steps": state.env_steps,
+            "relabelled_steps": state.relabelled_steps,
+            "truncations": state.truncations,
             "phi": state.phi.tolist(),
             "parameters": msgspec.to_builtins(state.design_space.parameters),
             "alpha": state.alpha,
@@ -73,6 +75,7 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, config: Confi
         space = DesignSpace(tuple(msgspec.convert(facts["parameters"], list[Parameter])))
         state = start(task, config, 0, space)
         state.iteration, state.env_steps = facts["iteration"], facts["env_steps"]
+        state.relabelled_steps, state.truncations = facts["relabelled_steps"], facts["truncations"]
         state.phi = space.check(facts["phi"])
         state.alpha, state.projection, state.fitted = facts["alpha"], facts["projection"], facts["fitted"]
         state.rng.bit_generator.state = facts["rng"]

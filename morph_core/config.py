@@ -9,7 +9,8 @@ from typing import Literal
 Method = Literal["morph", "no_hw_opt", "direct"]
 Projection = Literal["none", "one_sided", "as_printed"]
 Exploration = Literal["design", "gaussian"]
-Search = Literal["cma", "gradient"]
+Search = Literal["cma", "gradient", "drift"]
+Utility = Literal["standardised", "log_rank"]
 
 
 @dataclass(frozen=True)
@@ -27,9 +28,12 @@ class Config:
     exploration: Exploration = "design"
     """How z is explored: designs drawn around phi on Hw-Phy, or the paper's Gaussian noise on the proxy's z."""
     search: Search = "cma"
-    """How phi is searched for (Eq. 3): CMA-ES, or gradient where Hw-Phy is differentiable."""
+    """How phi is searched for (Eq. 3): CMA-ES on the divergence, its gradient where Hw-Phy is differentiable, or
+    least squares on the drift that the task asks of the proxy, where contact makes the divergence rough."""
     schedule_iterations: int = 100
     """Iterations over which learning rates and noises are annealed; constant afterwards."""
+    schedule_hold: float = 0.0
+    """Share of the schedule for which the explored designs keep their first Sigma."""
 
     gamma: float = 0.98
     """Discount per control step."""
@@ -68,8 +72,14 @@ class Config:
     """Standard deviation of z around the proxy's output under `exploration=gaussian`, in units of z."""
     z_clip_coef: float = 0.6
     """PPO's clip of the probability ratio of z under `exploration=gaussian`."""
+    proxy_pairs: int = 0
+    """Sampled (s, a) on which Eq. 2 is evaluated per iteration; 0 means all. Each costs one step of Hw-Phy."""
+    utility: Utility = "standardised"
+    """What an episode's return counts before it pulls on proxy or phi: standardised, or CMA-ES's weights by rank."""
     advantage_limit: float = 3.0
-    """Standardised episode returns beyond this are clipped before they pull on proxy or phi."""
+    """Standardised returns beyond this are clipped."""
+    design_correlation: float = 0.0
+    """Share of the variance of the explored designs that the parameters of a group have in common."""
     design_sigma: float = 1.2
     """Sigma of the designs drawn around phi at the start, in units of each parameter's scale."""
     design_sigma_end: float = 0.2
@@ -85,6 +95,12 @@ class Config:
     """Generations of CMA-ES per search."""
     search_sigma: float = 0.1
     """sigma0 of CMA-ES in units of each parameter's scale."""
+    drift_designs: int = 24
+    """Designs, in antithetic pairs, over which `search=drift` averages dz/dphi; a multiple of 4."""
+    drift_ridge: float = 0.2
+    """Ridge of its least squares, as a share of the mean curvature."""
+    drift_limit: float = 1.5
+    """Its longest step, in units of the explored Sigma."""
 
     evaluation_interval: int = 5
     """Iterations between two evaluations on Hw-Phy with the present phi; each is also a checkpoint."""
@@ -97,9 +113,13 @@ class Config:
 
 _AT_LEAST_ONE = {
     "trajectories", "design_interval", "schedule_iterations", "epochs", "minibatches", "hidden", "search_pairs",
-    "search_generations", "evaluation_interval", "evaluation_episodes",
+    "search_generations", "evaluation_interval", "evaluation_episodes", "drift_designs",
 }  # fmt: skip
-_MAY_BE_ZERO = {"alpha", "entropy_coef", "proxy_prefit", "kappa", "direct_step"}
+_MAY_BE_ZERO = {
+    "alpha", "entropy_coef", "proxy_prefit", "kappa", "direct_step", "proxy_pairs", "schedule_hold",
+    "design_correlation", "drift_ridge",
+}  # fmt: skip
+_SHARES = {"schedule_hold", "design_correlation"}
 _FRACTIONS = {"gamma", "gae_lambda", "learning_rate_end"}
 
 
@@ -109,6 +129,8 @@ def check_config(config: Config) -> None:
         check_field(field.name, getattr(config, field.name))
     if config.trajectories % 2:
         raise ValueError(f"trajectories must be even (antithetic pairs of designs), not {config.trajectories}")
+    if config.drift_designs % 4:
+        raise ValueError(f"drift_designs must be a multiple of 4 (two halves of pairs), not {config.drift_designs}")
     if config.search_population < 4:
         raise ValueError(f"search_population must be at least 4, not {config.search_population}")
 
@@ -133,6 +155,8 @@ def check_field(name: str, value: object) -> None:
         raise ValueError(f"{name} must not be negative, not {value}")
     if name in _FRACTIONS and not 0 < value <= 1:
         raise ValueError(f"{name} must lie in (0, 1], not {value}")
+    if name in _SHARES and value > 1:
+        raise ValueError(f"{name} must lie in [0, 1], not {value}")
     if name not in _MAY_BE_ZERO and value <= 0:
         raise ValueError(f"{name} must be positive, not {value}")
 

@@ -11,12 +11,13 @@ with warnings.catch_warnings():
 
 from morph_core.config import Config
 from morph_core.design import DesignSpace
-from morph_core.divergence import divergence
-from morph_core.networks import Proxy
 from morph_core.rollout import Rollout
+from morph_core.state import Learner
 from morph_core.task import Task
 
 GRADIENT_STEPS = 200
+_LARGEST_CHANGE = 4.0
+"""Of z between two designs, in units of z: beyond it, contact was gained or lost."""
 
 
 @dataclass(frozen=True)
@@ -26,46 +27,113 @@ class Dataset:
     s: np.ndarray  # (n, state_size)
     a: np.ndarray  # (n, action_size)
     z: np.ndarray  # (n, z_size)
+    drift: np.ndarray | None = None
+    """(n, z_size) how far the task has drawn z away from what the proxy's reference says; for `search=drift`."""
 
 
-def relabel(rollout: Rollout, proxy: Proxy, pairs: int, rng: np.random.Generator) -> Dataset:
+@dataclass(frozen=True)
+class Search:
+    """What a search for phi came to."""
+
+    phi: np.ndarray  # (d,)
+    cost: float
+    """The divergence of Hw-Phy with this phi from the dataset."""
+    steps: int
+    """Steps of Hw-Phy that it took."""
+
+
+def relabel(rollout: Rollout, learner: Learner, pairs: int, rng: np.random.Generator) -> Dataset:
     """Line 5: sample (s, a) of the rollout and label them with the updated proxy."""
     t, n = rollout.alive.nonzero()
     chosen = rng.integers(len(t), size=pairs)
     s, a = rollout.s[t[chosen], n[chosen]], rollout.a[t[chosen], n[chosen]]
-    return Dataset(s, a, proxy.hardware(s, a))
+    z = learner.proxy.hardware(s, a)
+    return Dataset(s, a, z, z - learner.reference.hardware(s, a) if learner.reference else None)
 
 
 def derive_design(
-    task: Task, space: DesignSpace, dataset: Dataset, phi: np.ndarray, config: Config, seed: int
-) -> tuple[np.ndarray, float]:
-    """Line 6: return the phi (d,) of least divergence from the dataset, and that divergence.
+    task: Task, space: DesignSpace, dataset: Dataset, phi: np.ndarray, config: Config, seed: int, sigma: float = 1.0
+) -> Search:
+    """Line 6: return the phi of least divergence from the dataset.
 
-    The search starts at the present phi, keeps to the box and to the locks, and never ends worse than it started.
+    The search starts at the present phi and keeps to the box and to the locks. By "cma" and "gradient" it never ends
+    worse than it started; "drift" goes where the task draws the proxy, however rough the divergence is on the way.
+    `sigma` is that of the explored designs, in units of each parameter's scale.
     """
-    start = space.clip(phi)
+    start, physics = space.clip(phi), _Physics(task)
     if not space.free.any():
-        return start, float(_costs(task, dataset, start[None])[0])
-    if config.search == "gradient":
-        found = _by_gradient(task, space, dataset, start)
+        candidates = start[None]
+    elif config.search == "drift":
+        candidates = _by_drift(physics, space, dataset, start, sigma, config, np.random.default_rng(seed))[None]
+    elif config.search == "gradient":
+        candidates = np.stack([start, _by_gradient(physics, space, dataset, start)])
     else:
-        found = _by_cma(task, space, dataset, start, config, seed)
-    candidates = np.stack([start, found])
-    costs = _costs(task, dataset, candidates)
+        candidates = np.stack([start, _by_cma(physics, space, dataset, start, config, seed)])
+    costs = physics.costs(dataset, candidates)
     best = int(np.argmin(costs))
-    return candidates[best], float(costs[best])
+    return Search(candidates[best], float(costs[best]), physics.steps)
 
 
-def _costs(task: Task, dataset: Dataset, candidates: np.ndarray) -> np.ndarray:
-    """Return the divergence (P,) of Hw-Phy with each candidate phi (P, d): all of them in one batch."""
-    count, pairs = len(candidates), len(dataset.s)
-    hw_phy = task.hw_phy(np.repeat(candidates, pairs, 0))
-    z = hw_phy(np.tile(dataset.s, (count, 1)), np.tile(dataset.a, (count, 1)))
-    return divergence(z.reshape(count, pairs, -1), dataset.z)
+class _Physics:
+    """Hw-Phy of many designs at once, its steps counted."""
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self.steps = 0
+
+    def z(self, s: np.ndarray, a: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+        """Return z (P, n, z_size) of candidates phi (P, d) for (s, a) (n, ...), all of them in one batch."""
+        count, pairs = len(candidates), len(s)
+        self.steps += count * pairs
+        hw_phy = self.task.hw_phy(np.repeat(candidates, pairs, 0))
+        return hw_phy(np.tile(s, (count, 1)), np.tile(a, (count, 1))).reshape(count, pairs, -1)
+
+    def costs(self, dataset: Dataset, candidates: np.ndarray) -> np.ndarray:
+        """Return the divergence (P,) of Hw-Phy with each candidate phi (P, d).
+
+        Where a candidate's simulation diverges, it counts as far from the dataset as the farthest that did not.
+        """
+        square = ((self.z(dataset.s, dataset.a, candidates) - dataset.z) ** 2).sum(-1)
+        return np.where(np.isfinite(square), square, np.nanmax(square, initial=0.0)).mean(-1)
+
+
+def _by_drift(
+    physics: _Physics,
+    space: DesignSpace,
+    dataset: Dataset,
+    start: np.ndarray,
+    sigma: float,
+    config: Config,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Least squares of the drift on dz/dphi, averaged over the explored designs: contact leaves nothing to a point's.
+
+    The product of two independent halves of the average is free of the noise that would bias its square.
+    """
+    if dataset.drift is None:
+        raise ValueError("search=drift needs the proxy's reference")
+    unit = (sigma * space.scale)[space.free]
+    d, pairs = len(unit), config.drift_designs // 2
+    noise = rng.standard_normal((pairs, d))
+    designs = np.tile(start, (2 * pairs, 1))
+    designs[:, space.free] += unit * np.concatenate([noise, -noise])
+    z = physics.z(dataset.s, dataset.a, space.clip(designs))
+    change = np.nan_to_num((z[:pairs] - z[pairs:]) / 2).reshape(pairs, -1)
+    change = np.clip(change, -_LARGEST_CHANGE, _LARGEST_CHANGE)
+    first, second = (change[half::2].T @ noise[half::2] / len(noise[half::2]) for half in (0, 1))  # (n z_size, d)
+    curvature = (first.T @ second + second.T @ first) / 2
+    pull = (first + second).T @ dataset.drift.ravel() / 2
+    mean_curvature = (np.sum(first**2) + np.sum(second**2)) / (2 * d)
+    values, vectors = np.linalg.eigh(curvature)
+    step = vectors @ ((vectors.T @ pull) / np.maximum(values, config.drift_ridge * mean_curvature + 1e-12))
+    step *= min(1.0, config.drift_limit / (np.linalg.norm(step) + 1e-12))
+    found = start.copy()
+    found[space.free] += unit * step
+    return space.clip(found)
 
 
 def _by_cma(
-    task: Task, space: DesignSpace, dataset: Dataset, start: np.ndarray, config: Config, seed: int
+    physics: _Physics, space: DesignSpace, dataset: Dataset, start: np.ndarray, config: Config, seed: int
 ) -> np.ndarray:
     free, scale = space.free, space.scale[space.free]
 
@@ -78,7 +146,7 @@ def _by_cma(
     if free.sum() == 1:  # cma needs two dimensions; along a line a grid is as good
         grid = np.linspace(space.lo[free], space.hi[free], config.search_population * config.search_generations)
         candidates = complete(grid / scale)
-        return candidates[np.argmin(_costs(task, dataset, candidates))]
+        return candidates[np.argmin(physics.costs(dataset, candidates))]
     options = {
         "bounds": [list(space.lo[free] / scale), list(space.hi[free] / scale)],
         "popsize": config.search_population,
@@ -89,18 +157,19 @@ def _by_cma(
     es = cma.CMAEvolutionStrategy(start[free] / scale, config.search_sigma, options)
     while not es.stop():
         population = es.ask()
-        es.tell(population, _costs(task, dataset, complete(np.array(population))).tolist())
+        es.tell(population, physics.costs(dataset, complete(np.array(population))).tolist())
     return complete(np.asarray(es.result.xbest)[None])[0]
 
 
-def _by_gradient(task: Task, space: DesignSpace, dataset: Dataset, start: np.ndarray) -> np.ndarray:
+def _by_gradient(physics: _Physics, space: DesignSpace, dataset: Dataset, start: np.ndarray) -> np.ndarray:
     """Projected gradient descent on D with the step 1 / L of its curvature L at the start."""
     phi, step = start, None
     for _ in range(GRADIENT_STEPS):
-        hw_phy = task.hw_phy(phi)
+        hw_phy = physics.task.hw_phy(phi)
         jacobian = getattr(hw_phy, "jacobian", None)
         if jacobian is None:
-            raise ValueError(f'the Hw-Phy of {task.name} is not differentiable: search by "cma", not by "gradient"')
+            name = physics.task.name
+            raise ValueError(f'{name} has no gradient of Hw-Phy in phi: search by "cma" or "drift", not "gradient"')
         dz = jacobian(dataset.s, dataset.a)  # (n, z, d)
         residual = hw_phy(dataset.s, dataset.a) - dataset.z
         if step is None:

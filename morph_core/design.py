@@ -53,6 +53,12 @@ class DesignSpace:
         """(d,) bool: which parameters may move."""
         return np.array([p.locked_at is None for p in self.parameters])
 
+    @property
+    def groups(self) -> list[np.ndarray]:
+        """(d,) bool each: the parameters of every named group."""
+        names = sorted({p.group for p in self.parameters if p.group})
+        return [np.array([p.group == name for p in self.parameters]) for name in names]
+
     def clip(self, phi: np.ndarray) -> np.ndarray:
         """Return phi (..., d) inside the box, locked entries at their value."""
         inside = np.clip(phi, self.lo, self.hi)

@@ -11,10 +11,12 @@ from morph_core.task import Task
 
 @dataclass(frozen=True)
 class Score:
-    """Means over episodes."""
+    """Means over episodes; one whose simulation diverged has failed, and has no return."""
 
     success: float
     episode_return: float
+    milestones: dict[str, float]
+    truncations: int
 
 
 def evaluate(
@@ -24,11 +26,18 @@ def evaluate(
     hw_phy = task.hw_phy(phi)
     start = task.reset(hw_phy, episodes, rng)
     rollout = collect(task, lambda observation: policy.act(observation, rng if sampled else None), hw_phy, start)
-    return Score(float(rollout.successes.mean()), float(rollout.returns.mean())), rollout
+    milestones = {
+        name: float(task.solved(reached & rollout.alive).sum() / episodes)
+        for name, reached in rollout.milestones.items()
+    }
+    returns = float(rollout.returns.mean()) if rollout.kept.any() else 0.0
+    return Score(float(rollout.successes.sum() / episodes), returns, milestones, rollout.truncations), rollout
 
 
 def record_episode(task: Task, rollout: Rollout, phi: np.ndarray, episode: int = 0) -> dict[str, np.ndarray]:
     """Return one episode of a rollout as the arrays of a rollout file; T steps, T + 1 postures."""
+    if not rollout.alive.shape[1]:  # every simulation diverged: there is only the design to record
+        return {"phi": phi}
     steps = int(rollout.alive[:, episode].sum())
     after = rollout.s[steps, episode] if steps < len(rollout.s) else rollout.last_s[episode]
     states = np.concatenate([rollout.s[:steps, episode], after[None]])
@@ -39,5 +48,6 @@ def record_episode(task: Task, rollout: Rollout, phi: np.ndarray, episode: int =
         "success": rollout.success[:steps, episode],
         "reward": rollout.reward[:steps, episode],
         "phi": phi,
+        **{f"milestones/{name}": reached[:steps, episode] for name, reached in rollout.milestones.items()},
         **{f"reward_terms/{name}": term[:steps, episode] for name, term in rollout.reward_terms.items()},
     }

@@ -7,7 +7,14 @@ import torch
 
 from morph_core.config import Config
 from morph_core.derive import derive_design, relabel
-from morph_core.exploration import clipped_pull, design_sigma, explored_world, linearised_pull, run_trajectories
+from morph_core.exploration import (
+    clipped_pull,
+    design_sigma,
+    explored_world,
+    linearised_pull,
+    relabel_on_hardware,
+    run_trajectories,
+)
 from morph_core.objective import fit_proxy, improve_control, improve_proxy, make_batch, set_learning_rates
 from morph_core.protocol import Progress
 from morph_core.state import State
@@ -29,26 +36,29 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
         rollout = run_trajectories(task, state, world, config)
 
         batch = make_batch(task, learner, rollout, config)  # line 3, Eq. 2
-        s, a = rollout.s[rollout.alive], rollout.a[rollout.alive]
-        z_phi = hw_phy(s, a)
+        pairs = relabel_on_hardware(rollout, hw_phy, config.proxy_pairs, state.rng)
         if config.exploration == "gaussian":
             with torch.no_grad():
-                m_before = learner.proxy(torch.from_numpy(task.proxy_input(s, a)))
-            pull = clipped_pull(rollout, m_before, batch.advantage, config)
+                m_before = learner.proxy(torch.from_numpy(task.proxy_input(pairs.s, pairs.a)))
+            pull = clipped_pull(pairs, m_before, batch.advantage, config)
         else:
-            pull = linearised_pull(rollout, z_phi, config)
+            pull = linearised_pull(rollout, pairs, config)
         improve_control(state, batch, iteration, config)
-        update = improve_proxy(task, state, rollout, hw_phy, z_phi, pull, config)
+        update = improve_proxy(task, state, pairs, hw_phy, pull, config)
+        state.relabelled_steps += pairs.steps
 
         search_cost = None
         if iteration % config.design_interval == 0:  # line 4
-            dataset = relabel(rollout, learner.proxy, config.search_pairs, state.rng)  # line 5
+            dataset = relabel(rollout, learner, config.search_pairs, state.rng)  # line 5
             seed = int(state.rng.integers(1, 2**31))
-            state.phi, search_cost = derive_design(  # line 6, Eq. 3
-                task, state.design_space, dataset, state.phi, config, seed
+            search = derive_design(  # line 6, Eq. 3
+                task, state.design_space, dataset, state.phi, config, seed, sigma
             )
+            learner.settle()
+            state.phi, search_cost = search.phi, search.cost
+            state.relabelled_steps += search.steps
 
-        state.iteration, state.env_steps = iteration, state.env_steps + rollout.steps
+        state.advance(iteration, rollout)
         yield Progress(
             iteration=iteration,
             env_steps=state.env_steps,

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from morph_core.config import Config
-from morph_core.exploration import Pull, annealed
+from morph_core.exploration import Pull, Relabelled, annealed
 from morph_core.gradients import cosine, flatten, project, write_gradient
 from morph_core.rollout import Rollout, advantages
 from morph_core.state import Learner, State
@@ -91,17 +91,16 @@ def improve_control(state: State, batch: Batch, iteration: int, config: Config) 
 
 
 def improve_proxy(
-    task: Task, state: State, rollout: Rollout, hw_phy: Hardware, z_phi: np.ndarray, pull: Pull, config: Config
+    task: Task, state: State, pairs: Relabelled, hw_phy: Hardware, pull: Pull, config: Config
 ) -> ProxyUpdate:
     """Minimise L_task + alpha D over psi; where both gradients conflict, g_task is projected by the rule in force.
 
     The sampled (s, a) are data, so that D does not depend on theta: cosine and projection are over psi alone.
     """
-    proxy, optimizer = state.learner.proxy, state.learner.proxy_optimizer
-    psi = list(proxy.parameters())
-    s, a = rollout.s[rollout.alive], rollout.a[rollout.alive]
-    features = torch.from_numpy(task.proxy_input(s, a))
-    target = torch.from_numpy(z_phi.astype(np.float32))  # (B, z_size) F_phi(s, a)
+    learner = state.learner
+    proxy, psi = learner.proxy, list(learner.proxy.parameters())
+    features = torch.from_numpy(task.proxy_input(pairs.s, pairs.a))
+    target = torch.from_numpy(pairs.z_phi.astype(np.float32))  # (B, z_size)
     cosines, divergences = [], []
     for _ in range(config.epochs):
         for index in minibatches(len(features), config.minibatches, state.rng):
@@ -112,12 +111,16 @@ def improve_proxy(
             cosines.append(cosine(g_task, g_hw))
             divergences.append(float((error**2).sum(-1).mean()))
             write_gradient(psi, project(g_task, g_hw, state.projection) + state.alpha * g_hw)
-            optimizer.step()
-    index = torch.linspace(0, len(s) - 1, min(config.search_pairs, len(s))).long()  # spread evenly
+            learner.proxy_optimizer.step()
+            if learner.reference and learner.reference_optimizer:
+                learner.reference_optimizer.zero_grad()
+                ((learner.reference(features[index]) - target[index]) ** 2).sum(-1).mean().backward()
+                learner.reference_optimizer.step()
+    index = torch.linspace(0, len(pairs) - 1, min(config.search_pairs, len(pairs))).long()  # spread evenly
     with torch.no_grad():
         m = proxy(features[index])
     shares = cosine_by_parameter(
-        hw_phy, s[index], a[index], g_task=pull(m, index).numpy(), g_hw=(m - target[index]).numpy()
+        hw_phy, pairs.s[index], pairs.a[index], g_task=pull(m, index).numpy(), g_hw=(m - target[index]).numpy()
     )
     return ProxyUpdate(
         float(np.mean(divergences)), float(np.mean(cosines)), float(np.mean(np.array(cosines) < 0)), shares
@@ -148,10 +151,13 @@ def fit_proxy(task: Task, state: State, config: Config, pairs: int = 512) -> flo
     loss = torch.zeros(())
     for step in range(config.proxy_prefit):
         s, a = task.sample_pairs(pairs, state.rng)
-        target = torch.from_numpy(hw_phy(s, a).astype(np.float32))
-        loss = ((proxy(torch.from_numpy(task.proxy_input(s, a))) - target) ** 2).sum(-1).mean()
+        z = hw_phy(s, a)
+        sound = np.isfinite(z).all(1)
+        target = torch.from_numpy(z[sound].astype(np.float32))
+        loss = ((proxy(torch.from_numpy(task.proxy_input(s[sound], a[sound]))) - target) ** 2).sum(-1).mean()
         optimizer.param_groups[0]["lr"] = 2e-3 * (1 - step / config.proxy_prefit) + 1e-5
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
+    state.learner.pair()
     return float(loss.detach())

@@ -27,6 +27,8 @@ class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     scale: float = 1.0
     """A typical change: the unit of exploration and of the search's sigma0."""
     locked_at: float | None = None
+    group: str = ""
+    """Parameters of one group share part of their noise when designs are explored: `design_correlation`."""
 
 
 # --- Commands ---------------------------------------------------------------------------------------------------------
@@ -150,6 +152,10 @@ class Progress(Event, tag="progress", frozen=True):
     """The same cosine along the direction in which each design parameter moves z; where Hw-Phy is differentiable."""
     alpha: float | None = None
     projection: Projection | None = None
+    relabelled_steps: int = 0
+    """Steps of Hw-Phy outside of trajectories so far: relabelling, and the search for phi."""
+    truncations: int = 0
+    """Episodes so far that were left out because their simulation diverged."""
     cpu_seconds: float = 0.0
     """CPU time of the trainer since its first iteration, all resumes summed."""
 
@@ -164,6 +170,10 @@ class Evaluation(Event, tag="evaluation", frozen=True):
     sampled_return: float
     deterministic_success: float
     deterministic_return: float
+    milestones: dict[str, float] = {}
+    """Share of the sampled episodes that reached what comes before the goal, by the rule of success."""
+    truncations: int = 0
+    """Sampled episodes whose simulation diverged: they count as failures."""
     rollout: str | None = None
     cpu_seconds: float = 0.0
 

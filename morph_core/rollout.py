@@ -1,6 +1,6 @@
 """Trajectories: collect them with any policy on any hardware, and estimate advantages."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,10 @@ Act = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Rollout:
-    """All trajectories of an iteration: T steps of N episodes. Steps after an episode's end are not `alive`."""
+    """All trajectories of an iteration: T steps of N episodes. Steps after an episode's end are not `alive`.
+
+    Episodes that were truncated because their simulation diverged are left out, all of them: N counts the others.
+    """
 
     s: np.ndarray  # (T, N, state_size)
     observation: np.ndarray  # (T, N, o) float32
@@ -24,52 +27,69 @@ class Rollout:
     reward_terms: dict[str, np.ndarray]  # each (T, N)
     alive: np.ndarray  # (T, N) bool
     success: np.ndarray  # (T, N) bool
-    contact: np.ndarray  # (T, N, 3) m
+    milestones: dict[str, np.ndarray]  # each (T, N) bool
+    contact: np.ndarray  # (T, N, C, 3) m
     last_s: np.ndarray  # (N, state_size)
+    successes: np.ndarray  # (N,) bool: whether each episode reached the goal
+    kept: np.ndarray  # (episodes started,) bool: which of them are here
+    steps: int
+    """Environment steps taken, those of the episodes left out included."""
 
     @property
-    def steps(self) -> int:
-        """Environment steps taken."""
-        return int(self.alive.sum())
+    def episodes(self) -> int:
+        """How many were started."""
+        return len(self.kept)
+
+    @property
+    def truncations(self) -> int:
+        """How many were left out."""
+        return int((~self.kept).sum())
 
     @property
     def returns(self) -> np.ndarray:
         """(N,) undiscounted return of each episode."""
         return (self.reward * self.alive).sum(0)
 
-    @property
-    def successes(self) -> np.ndarray:
-        """(N,) bool: whether each episode reached the goal."""
-        return np.any(self.success & self.alive, axis=0)
-
 
 def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray) -> Rollout:
     """Run N episodes from start states s (N, state_size) in the world of `hardware`."""
     alive = np.ones(len(s), dtype=bool)
+    kept = alive.copy()
     steps = []
     for _ in range(task.horizon):
         observation = task.observe(s)
         action = act(observation)
         transition = task.step(hardware, s, action)
         steps.append((s, observation, action, transition, alive))
-        s, alive = transition.s, alive & ~transition.terminated
+        kept = kept & ~(transition.truncated & alive)
+        s, alive = transition.s, alive & ~transition.terminated & ~transition.truncated
         if not alive.any():
             break
     states, observations, actions, transitions, lives = zip(*steps, strict=True)
+
+    def stack(arrays: Iterable[np.ndarray]) -> np.ndarray:
+        return np.stack([array[kept] for array in arrays])
+
+    def stack_named(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        return {name: stack(table[name] for table in tables) for name in tables[0]}
+
+    success = stack(t.success & life for t, life in zip(transitions, lives, strict=True))
     return Rollout(
-        s=np.stack(states),
-        observation=np.stack(observations),
-        action=np.stack(actions),
-        a=np.stack([t.a for t in transitions]),
-        z=np.stack([t.z for t in transitions]),
-        reward=np.stack([t.reward for t in transitions]),
-        reward_terms={
-            name: np.stack([t.reward_terms[name] for t in transitions]) for name in transitions[0].reward_terms
-        },
-        alive=np.stack(lives),
-        success=np.stack([t.success for t in transitions]),
-        contact=np.stack([t.contact for t in transitions]),
-        last_s=s,
+        s=stack(states),
+        observation=stack(observations),
+        action=stack(actions),
+        a=stack(t.a for t in transitions),
+        z=stack(t.z for t in transitions),
+        reward=stack(t.reward for t in transitions),
+        reward_terms=stack_named([t.reward_terms for t in transitions]),
+        alive=stack(lives),
+        success=success,
+        milestones=stack_named([t.milestones for t in transitions]),
+        contact=stack(t.contact for t in transitions),
+        last_s=s[kept],
+        successes=task.solved(success),
+        kept=kept,
+        steps=int(np.sum(lives)),
     )
 
 

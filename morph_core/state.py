@@ -1,5 +1,6 @@
 """Everything of a run that lives from one iteration to the next: what a user may edit, and what a checkpoint holds."""
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from torch import nn
 from morph_core.config import Config, Projection
 from morph_core.design import DesignSpace
 from morph_core.networks import Critic, Policy, Proxy
+from morph_core.rollout import Rollout
 from morph_core.task import Task
 
 
@@ -19,16 +21,33 @@ class Learner:
     policy: Policy
     critic: Critic
     proxy: Proxy
+    reference: Proxy | None
+    """A twin of the proxy that only learns Hw-Phy: what the task asks for is the proxy's difference from it.
+    `search=drift` alone needs it."""
     control_optimizer: torch.optim.Adam
     proxy_optimizer: torch.optim.Adam
+    reference_optimizer: torch.optim.Adam | None
 
     @property
     def modules(self) -> dict[str, nn.Module]:
-        return {"policy": self.policy, "critic": self.critic, "proxy": self.proxy}
+        twin = {"reference": self.reference} if self.reference else {}
+        return {"policy": self.policy, "critic": self.critic, "proxy": self.proxy, **twin}
 
     @property
     def optimizers(self) -> dict[str, torch.optim.Adam]:
-        return {"control": self.control_optimizer, "proxy": self.proxy_optimizer}
+        twin = {"reference": self.reference_optimizer} if self.reference_optimizer else {}
+        return {"control": self.control_optimizer, "proxy": self.proxy_optimizer, **twin}
+
+    def pair(self) -> None:
+        """Let the reference start as the proxy is."""
+        if self.reference:
+            self.reference.load_state_dict(self.proxy.state_dict())
+
+    def settle(self) -> None:
+        """After a search by drift: phi has gone where the task drew the proxy, which starts again as the reference."""
+        if self.reference and self.reference_optimizer:
+            self.proxy.load_state_dict(self.reference.state_dict())
+            self.proxy_optimizer.load_state_dict(copy.deepcopy(self.reference_optimizer.state_dict()))
 
 
 @dataclass
@@ -45,6 +64,18 @@ class State:
     rng: np.random.Generator
     fitted: bool = False
     """Whether the proxy has been fitted to Hw-Phy at the initial design."""
+    explored: np.ndarray | None = None  # (N, d)
+    """The designs that the last iteration explored, for people; no checkpoint holds them."""
+    relabelled_steps: int = 0
+    """Steps of Hw-Phy outside of trajectories: relabelling, and the search for phi."""
+    truncations: int = 0
+    """Episodes left out because their simulation diverged."""
+
+    def advance(self, iteration: int, rollout: Rollout) -> None:
+        """Note that an iteration is over, and what its trajectories took."""
+        self.iteration = iteration
+        self.env_steps += rollout.steps
+        self.truncations += rollout.truncations
 
 
 def start(task: Task, config: Config, seed: int, design_space: DesignSpace | None = None) -> State:
@@ -52,9 +83,14 @@ def start(task: Task, config: Config, seed: int, design_space: DesignSpace | Non
     space = design_space or task.design_space
     weights = torch.Generator().manual_seed(seed)
     policy, critic, proxy = Policy(task, config, weights), Critic(task, config, weights), Proxy(task, config, weights)
+    reference = copy.deepcopy(proxy) if config.search == "drift" else None
+
+    def proxy_optimizer(network: Proxy) -> torch.optim.Adam:
+        return torch.optim.Adam(network.parameters(), config.proxy_learning_rate, fused=True)
+
     learner = Learner(
-        policy, critic, proxy,
+        policy, critic, proxy, reference,
         torch.optim.Adam([*policy.parameters(), *critic.parameters()], config.learning_rate, fused=True),
-        torch.optim.Adam(proxy.parameters(), config.proxy_learning_rate, fused=True),
+        proxy_optimizer(proxy), proxy_optimizer(reference) if reference else None,
     )  # fmt: skip
     return State(0, 0, space.initial, space, config.alpha, config.projection, learner, np.random.default_rng(seed))

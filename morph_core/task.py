@@ -6,7 +6,7 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-from morph_core.config import Config
+from morph_core.config import Config, Exploration
 from morph_core.design import DesignSpace
 
 
@@ -41,11 +41,15 @@ class Transition:
     reward_terms: dict[str, np.ndarray]
     """name -> (N,), already weighted."""
     terminated: np.ndarray
-    """(N,) bool."""
+    """(N,) bool: the episode is over, as the task has it."""
+    truncated: np.ndarray
+    """(N,) bool: the physics failed, or the design can't be simulated; z is NaN if there is none."""
     success: np.ndarray
     """(N,) bool: the goal was reached in this step."""
+    milestones: dict[str, np.ndarray]
+    """name -> (N,) bool: what had to come before the goal, for people."""
     contact: np.ndarray
-    """(N, 3) m: where the robot was stopped in this step, NaN where it was not."""
+    """(N, C, 3) m: up to C points where the robot touches something in this step, NaN for none."""
 
 
 class Task(Protocol):
@@ -97,6 +101,16 @@ class Task(Protocol):
         """Typical size of z: the proxy's output is multiplied by it."""
         ...
 
+    @property
+    def z_unit(self) -> str:
+        """The unit of z; empty where every component is in its own."""
+        ...
+
+    @property
+    def explorations(self) -> tuple[Exploration, ...]:
+        """The ways of exploring z that the task can be run with."""
+        ...
+
     def hw_phy(self, phi: np.ndarray) -> Hardware:
         """Return F_phi for one design (d,), or for one design per environment (N, d)."""
         ...
@@ -121,14 +135,19 @@ class Task(Protocol):
         """Execute the policy's actions (N, action_size), clipped into [-1, 1], in the world of `hardware`."""
         ...
 
+    def solved(self, reached: np.ndarray) -> np.ndarray:
+        """Tell (N,) which episodes count as successful, from the steps (T, N) in which the goal was reached."""
+        ...
+
     def spec(self, phi: np.ndarray) -> mujoco.MjSpec:
         """Return the robot alone with design phi (d,): what is exported."""
         ...
 
     def scene(self, phi: np.ndarray) -> mujoco.MjSpec:
-        """Return robot, obstacles and goal: what is shown. Scenery geoms are named; the goal's begins with "goal"."""
+        """Return robot, objects, obstacles and goal: what is shown. The names of what never moves begin with "goal",
+        "wall" or "table"; a geom that has the name of a milestone lights up with it."""
         ...
 
     def qpos(self, s: np.ndarray) -> np.ndarray:
-        """Return MuJoCo's qpos (N, nq) of `spec` for states s."""
+        """Return MuJoCo's qpos (N, nq) of `scene` for states s; it begins with the qpos of `spec`."""
         ...

@@ -54,6 +54,8 @@ METHODS: dict[str, Callable[[Task, Config, State], Iterator[Progress]]] = {
 HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
+SHOWN_DESIGNS = 12
+"""Of the explored designs, this many are kept with each evaluation."""
 
 
 class Trainer:
@@ -141,7 +143,11 @@ class Trainer:
         if not all_finite(state) or not np.isfinite(progress.episode_return):
             raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
         self._iteration, self._env_steps = state.iteration, state.env_steps
-        self._write(msgspec.structs.replace(progress, cpu_seconds=time.process_time() - cpu_start))
+        progress = msgspec.structs.replace(
+            progress, relabelled_steps=state.relabelled_steps, truncations=state.truncations,
+            cpu_seconds=time.process_time() - cpu_start,
+        )  # fmt: skip
+        self._write(progress)
         if progress.iteration % config.evaluation_interval == 0 or progress.iteration >= self._last:
             self._set("running", "evaluating")
             self._evaluate(task, config, state, cpu_start)
@@ -156,12 +162,15 @@ class Trainer:
         sampled, rollout = evaluate(task, policy, state.phi, config.evaluation_episodes, rng, sampled=True)
         mean, _ = evaluate(task, policy, state.phi, config.evaluation_episodes, rng, sampled=False)
         arrays = record_episode(task, rollout, state.phi)
+        if state.explored is not None:
+            arrays["population"] = state.explored[:SHOWN_DESIGNS]
         name = self._persist(lambda: write_rollout(self._folder, state.iteration, arrays))
         self._write(
             Evaluation(
                 iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
                 sampled_success=sampled.success, sampled_return=sampled.episode_return,
                 deterministic_success=mean.success, deterministic_return=mean.episode_return,
+                milestones=sampled.milestones, truncations=sampled.truncations,
                 rollout=name, cpu_seconds=time.process_time() - cpu_start,
             )
         )  # fmt: skip

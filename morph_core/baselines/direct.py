@@ -17,14 +17,15 @@ def direct(task: Task, config: Config, state: State) -> Iterator[Progress]:
     for iteration in itertools.count(state.iteration + 1):
         sigma = design_sigma(iteration, config)
         set_learning_rates(learner, iteration, config)
-        designs = explore_designs(state, config.trajectories, sigma)
+        designs = explore_designs(state, config.trajectories, sigma, config.design_correlation)
         hw_phy = task.hw_phy(designs)
         rollout = run_trajectories(task, state, hw_phy, config)
         improve_control(state, make_batch(task, learner, rollout, config), iteration, config)
-        advantage = episode_advantage(rollout.returns, config.advantage_limit)
-        step = (advantage[:, None] * (designs - state.phi)).mean(0)  # E[A (phi_i - phi)], the natural gradient
+        advantage = episode_advantage(rollout.returns, config)
+        # E[A (phi_i - phi)], the natural gradient
+        step = (advantage[:, None] * (designs[rollout.kept] - state.phi)).mean(0)
         state.phi = state.design_space.clip(state.phi + config.direct_step * step)
-        state.iteration, state.env_steps = iteration, state.env_steps + rollout.steps
+        state.advance(iteration, rollout)
         yield Progress(
             iteration=iteration,
             env_steps=state.env_steps,

@@ -19,7 +19,7 @@ def no_hw_opt(task: Task, config: Config, state: State) -> Iterator[Progress]:
         hw_phy = task.hw_phy(state.phi)
         rollout = run_trajectories(task, state, hw_phy, config)
         improve_control(state, make_batch(task, learner, rollout, config), iteration, config)
-        state.iteration, state.env_steps = iteration, state.env_steps + rollout.steps
+        state.advance(iteration, rollout)
         yield Progress(
             iteration=iteration,
             env_steps=state.env_steps,

@@ -7,10 +7,11 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from morph_core.config import Config
+from morph_core.config import Config, Exploration
 from morph_core.design import DesignSpace
 from morph_core.protocol import Parameter
 from morph_core.task import Hardware, Transition
+from morph_core.tasks import palette
 
 LINKS = 5
 TOLERANCE = 1e-4
@@ -25,14 +26,6 @@ SERVO_KV = 400.0  # N m s/rad
 SERVO_TORQUE = 500.0  # N m
 WALL_HEIGHT = 0.3  # m, across the plane
 WALL_MARGIN = 1.2  # m: how much of the solid is shown beyond the corridor
-BASE_COLOUR = (0.35, 0.37, 0.42, 1.0)
-LINK_COLOURS = (
-    (0.00, 0.45, 0.70, 1.0), (0.34, 0.71, 0.91, 1.0), (0.00, 0.62, 0.45, 1.0), (0.90, 0.62, 0.00, 1.0),
-    (0.84, 0.37, 0.00, 1.0),
-)  # fmt: skip
-"""Okabe and Ito's palette: told apart by colour-blind people too."""
-WALL_COLOUR = (0.55, 0.57, 0.62, 1.0)
-GOAL_COLOUR = (0.80, 0.47, 0.65, 1.0)
 
 
 @dataclass(frozen=True)
@@ -182,6 +175,8 @@ class Reacher:
     action_size: int = field(default=LINKS, init=False)
     proxy_input_size: int = field(default=2 * LINKS, init=False)
     z_scale: float = field(default=3.0, init=False)
+    z_unit: str = field(default="m", init=False)
+    explorations: tuple[Exploration, ...] = field(default=("design", "gaussian"), init=False)
 
     def __post_init__(self) -> None:
         if self.tunnel not in TUNNELS:
@@ -275,7 +270,21 @@ class Reacher:
         }
         terms = {name: np.where(stuck, 0.0, term) for name, term in terms.items()} | {"stuck": -self.stuck_cost * stuck}
         terms = {name: self.reward_scale * term for name, term in terms.items()}
-        return Transition(after, a, z, sum(terms.values(), np.zeros(len(s))), terms, touch, touch, contact)
+        return Transition(
+            s=after,
+            a=a,
+            z=z,
+            reward=sum(terms.values(), np.zeros(len(s))),
+            reward_terms=terms,
+            terminated=touch,
+            truncated=np.zeros_like(touch),
+            success=touch,
+            milestones={},
+            contact=contact[:, None],
+        )
+
+    def solved(self, reached: np.ndarray) -> np.ndarray:
+        return reached.any(0)
 
     def _sweep(self, arm: ForwardKinematics, q: np.ndarray, wish: np.ndarray) -> tuple[np.ndarray, ...]:
         """Move the joints one after another, the distal ones first, each until its target or contact.
@@ -336,7 +345,7 @@ class Reacher:
         spec.modelname = "reacher"
         body = spec.worldbody
         body.add_geom(
-            name="base", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[2 * LINK_RADIUS, LINK_RADIUS, 0], rgba=BASE_COLOUR
+            name="base", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[2 * LINK_RADIUS, LINK_RADIUS, 0], rgba=palette.BASE
         )
         for i, length in enumerate(phi):
             body = body.add_body(name=f"link_{i + 1}", pos=[phi[i - 1] if i else 0.0, 0.0, 0.0])
@@ -345,7 +354,7 @@ class Reacher:
             )
             geom = body.add_geom(
                 name=f"link_{i + 1}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, length, 0, 0],
-                size=[LINK_RADIUS, 0, 0], density=LINK_DENSITY, rgba=LINK_COLOURS[i],
+                size=[LINK_RADIUS, 0, 0], density=LINK_DENSITY, rgba=palette.PARTS[i],
             )  # fmt: skip
             geom.contype, geom.conaffinity = 1, 2  # neighbouring links share a joint: they never collide
             servo = spec.add_actuator(name=f"joint_{i + 1}", target=f"joint_{i + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -367,10 +376,10 @@ class Reacher:
                 vertices = [(x, y, z) for z in (-WALL_HEIGHT / 2, WALL_HEIGHT / 2) for x, y in corners]
                 spec.add_mesh(name=name, uservert=np.ravel(vertices))
                 geom = spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
-                geom.rgba, geom.contype, geom.conaffinity = WALL_COLOUR, 2, 1
+                geom.rgba, geom.contype, geom.conaffinity = palette.WALL, 2, 1
         goal = spec.worldbody.add_geom(
             name="goal", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[walls.goal_radius, LINK_RADIUS / 2, 0],
-            pos=[*walls.goal, 0], rgba=GOAL_COLOUR,
+            pos=[*walls.goal, 0], rgba=palette.GOAL,
         )  # fmt: skip
         goal.contype = goal.conaffinity = 0
         return spec

@@ -42,8 +42,9 @@ def test_shapes_are_as_declared(task: Task) -> None:
     assert step.s.shape == s.shape
     assert step.a.shape == (N, task.action_size)
     assert step.z.shape == (N, task.z_size)
-    assert step.contact.shape == (N, 3)
-    for vector in (step.reward, step.terminated, step.success, *step.reward_terms.values()):
+    assert step.contact.shape[::2] == (N, 3)
+    flags = (step.terminated, step.truncated, step.success, *step.milestones.values())
+    for vector in (step.reward, *flags, *step.reward_terms.values()):
         assert vector.shape == (N,)
     assert task.proxy_input(s, step.a).shape == (N, task.proxy_input_size)
     assert task.proxy_input(s, step.a).dtype == np.float32
@@ -105,7 +106,8 @@ def test_robot_and_scene_compile_at_every_corner_of_the_box(task: Task) -> None:
     for phi in (space.lo, space.hi, space.initial, np.where(np.arange(len(space)) % 2, space.lo, space.hi)):
         robot = task.spec(phi).compile()
         scene = task.scene(phi).compile()
-        assert task.qpos(task.reset(task.hw_phy(phi), 1, np.random.default_rng(0))).shape == (1, robot.nq)
+        assert task.qpos(task.reset(task.hw_phy(phi), 1, np.random.default_rng(0))).shape == (1, scene.nq)
+        assert scene.nq >= robot.nq
         data = mujoco.MjData(scene)
         mujoco.mj_forward(scene, data)
         assert np.isfinite(data.geom_xpos).all()

@@ -1,0 +1,397 @@
+"""What the hands' tasks share: physics, control, observation, and the paper's reward for lifting and pressing."""
+
+import os
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar, Literal
+
+import mujoco
+import mujoco.batch
+import numpy as np
+
+from morph_core.config import Config, Exploration
+from morph_core.design import DesignSpace
+from morph_core.task import Hardware, Transition
+from morph_core.tasks import palette
+from morph_core.tasks.hand import OBJECT_CONTACT, TABLE_CONTACT, Hand
+
+TIMESTEP = 0.01  # s
+SUBSTEPS = 10
+"""Physics steps per control step."""
+SENSOR_SIZE = 4
+"""Each contact sensor: how many contacts, and where the strongest is."""
+FASTEST = 100.0
+"""m/s or rad/s: a simulation that moves faster has exploded."""
+OBJECT_FRICTION = (0.8, 0.02, 0.0005)
+TABLE_FRICTION = (0.8, 0.01, 0.0005)
+PRESSED = 0.5
+"""Share of the button's travel."""
+BUTTON_DAMPING, BUTTON_ARMATURE, BUTTON_MASS = 1.0, 0.01, 0.01  # N s/m, kg, kg
+POSE = 7  # numbers of an object's pose in qpos: position and quaternion
+
+Z_PALM, Z_JOINT, Z_POSITION, Z_ROTATION = 0.03, 0.15, 0.02, 0.1
+"""m, rad, m, rad: typical changes in a control step, the units of z."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the physics did in one control step of N environments."""
+
+    s: np.ndarray  # (N, state_size)
+    z: np.ndarray  # (N, z_size), NaN where the simulation diverged
+    sensors: np.ndarray  # (N, fingers, 2, SENSOR_SIZE): each distal link on the button, each finger on the object
+    diverged: np.ndarray  # (N,) bool
+
+
+class HandPhysics:
+    """Hw-Phy of a hand, F_phi(s' | s, a): every environment on the compiled model of its own design.
+
+    s holds MuJoCo's qpos, qvel and the solver's warm start: all that the next step depends on.
+    """
+
+    def __init__(self, task: "GraspTask", phi: np.ndarray) -> None:
+        self.phi = phi  # (d,) or (N, d)
+        self._task = task
+        distinct, which = np.unique(np.atleast_2d(phi), axis=0, return_inverse=True)
+        models = [task.scene(design).compile() for design in distinct]
+        self._models = [models[i] for i in which.reshape(-1)]
+        self._batch: mujoco.batch.Batch | None = None
+
+    def __call__(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return self.run(s, a).z
+
+    def run(self, s: np.ndarray, a: np.ndarray) -> Outcome:
+        """Advance states s (N, state_size) by one control step with target changes a (N, action_size)."""
+        task, batch = self._task, self._batch_of(len(s))
+        fields = [batch.bind(name) for name in ("qpos", "qvel", "qacc_warmstart")]
+        for live, part in zip(fields, task.split(s), strict=True):
+            live[:] = part
+        joints = task.hand.joints
+        batch.bind("ctrl")[:] = np.clip(s[:, :joints] + a, *task.hand.joint_range.T)
+        batch.bind("time")[:] = 0.0
+        warnings = batch.warning
+        warnings[:] = 0
+        batch.step(nstep=SUBSTEPS)
+        after = np.concatenate(fields, 1)
+        qvel = fields[1]
+        with np.errstate(invalid="ignore"):
+            calm = (np.abs(qvel) < FASTEST).all(1)
+        diverged = warnings[..., 1].any(1) | ~np.isfinite(after).all(1) | ~calm
+        after[diverged] = s[diverged]
+        z = task.change(s, after)
+        z[diverged] = np.nan
+        sensors = batch.bind("sensordata").reshape(len(s), task.hand.fingers, 2, SENSOR_SIZE).copy()
+        sensors[diverged] = 0.0
+        return Outcome(after, z, sensors, diverged)
+
+    def _batch_of(self, environments: int) -> mujoco.batch.Batch:
+        if self._batch is None or self._batch.nsim != environments:
+            if len(self._models) not in (1, environments):
+                raise ValueError(f"{len(self._models)} designs don't fit {environments} environments")
+            threads = len(os.sched_getaffinity(0))
+            self._batch = mujoco.batch.Batch(self._models[0], environments, nthread=min(threads, environments))
+            if len(self._models) > 1:
+                self._batch.set_models(self._models)
+        return self._batch
+
+
+@dataclass(frozen=True)
+class GraspTask(ABC):
+    """A hand that grasps an object, lifts it and presses its button. Stateless; its subclasses say which object.
+
+    An action changes the targets of the palm's and the fingers' servos, ten times a second.
+    """
+
+    grasp: Literal["any_two", "two_besides_presser"] = "any_two"
+    """In hand = risen, with two fingers on object or button; or, strictly, two on the body besides the presser."""
+    initial_length: float = 0.12
+    """m: both links of every finger of the initial design."""
+    lift_height: float = 0.05
+    """m: risen by more than this, the object is in the hand if enough fingers touch it."""
+    goal_height: float = 0.30
+    """m: p_goal is this high above the middle of the table."""
+    distance_weight: float = 0.3
+    """Reward per metre between object and p_goal, at most one metre (enters with a minus). With 1 the policy learns
+    to avoid the object, because every touch first pushes it away."""
+    contact_weight: float = 0.3
+    """beta_0: reward while a distal link touches the button and the object is off the table. A larger one, or one
+    on the table, presses the button there for ever."""
+    height_weight: float = 8.0
+    """beta_1: reward per metre that the object has risen, up to `height_limit`."""
+    height_limit: float = 0.27
+    """m."""
+    goal_bonus: float = 10.0
+    """beta_2: reward while a distal link presses the button and the object is in the hand."""
+    reward_scale: float = 0.2
+    """All of the above are multiplied by it."""
+    palm_step: float = 0.05
+    """m: the largest change of the palm's target."""
+    joint_step: float = 0.3
+    """rad: the largest change of a joint's target."""
+    start_noise: float = 0.01
+    """m: the object starts this far off the middle at most, and turned by up to 5 rad per metre of it."""
+
+    horizon: int = field(default=40, init=False)
+    control_dt: float = field(default=TIMESTEP * SUBSTEPS, init=False)
+    z_scale: float = field(default=1.0, init=False)
+    z_unit: str = field(default="", init=False)
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    fingers: ClassVar[int]
+    explorations: ClassVar[tuple[Exploration, ...]] = ("design",)
+
+    def __post_init__(self) -> None:
+        if self.grasp not in ("any_two", "two_besides_presser"):
+            raise ValueError(f'unknown grasp "{self.grasp}"; choose from: any_two, two_besides_presser')
+        for name, value in vars(self).items():
+            if isinstance(value, str):
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < np.inf:
+                raise ValueError(f"{name} must be a finite number, not negative, and is {value!r}")
+        low, high = self.hand.design_space.lo[-1], self.hand.design_space.hi[-1]
+        if not low <= self.initial_length <= high:
+            raise ValueError(f"initial_length must lie inside [{low:g}, {high:g}] m, not {self.initial_length:g}")
+
+    @property
+    @abstractmethod
+    def config(self) -> Config: ...
+
+    @property
+    @abstractmethod
+    def rest_height(self) -> float:
+        """m: of the object's frame while it lies on the table."""
+
+    @property
+    @abstractmethod
+    def button_travel(self) -> float:
+        """m."""
+
+    @abstractmethod
+    def add_object(self, spec: mujoco.MjSpec) -> None:
+        """Add the bodies "object", with a free joint, and inside it "button", with a sprung slide."""
+
+    @cached_property
+    def hand(self) -> Hand:
+        return Hand(self.fingers, self.initial_length)
+
+    @property
+    def design_space(self) -> DesignSpace:
+        return self.hand.design_space
+
+    @property
+    def _nq(self) -> int:
+        return self.hand.joints + POSE + 1
+
+    @property
+    def _nv(self) -> int:
+        return self._nq - 1
+
+    @property
+    def state_size(self) -> int:
+        return self._nq + 2 * self._nv
+
+    @property
+    def observation_size(self) -> int:
+        return self.hand.joints + POSE
+
+    @property
+    def action_size(self) -> int:
+        return self.hand.joints
+
+    @property
+    def z_size(self) -> int:
+        return self.hand.joints + 6
+
+    @property
+    def proxy_input_size(self) -> int:
+        return self.observation_size + self.action_size
+
+    @property
+    def _action_scale(self) -> np.ndarray:
+        """(action_size,) m or rad."""
+        return np.array([self.palm_step, *[self.joint_step] * (2 * self.fingers)])
+
+    def split(self, s: np.ndarray) -> list[np.ndarray]:
+        """Return qpos (N, nq), qvel (N, nv) and the warm start (N, nv) of states s."""
+        return np.split(s, [self._nq, self._nq + self._nv], 1)
+
+    def change(self, s: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Return z (N, z_size): the change of joints, object position and orientation in their typical units."""
+        k = self.hand.joints
+        difference = np.empty((len(s), k + 6))
+        difference[:, : k + 3] = after[:, : k + 3] - s[:, : k + 3]
+        difference[:, k + 3 :] = _rotation_between(s[:, k + 3 : k + 7], after[:, k + 3 : k + 7])
+        units = np.array([Z_PALM, *[Z_JOINT] * (k - 1), *[Z_POSITION] * 3, *[Z_ROTATION] * 3])
+        return difference / units
+
+    def hw_phy(self, phi: np.ndarray) -> HandPhysics:
+        return HandPhysics(self, np.asarray(phi, dtype=float))
+
+    def reset(self, hw_phy: Hardware, environments: int, rng: np.random.Generator) -> np.ndarray:
+        k, physics = self.hand.joints, _physics(hw_phy)
+        s = np.zeros((environments, self.state_size))
+        s[:, :k] = self.hand.start(physics.phi)
+        s[:, k : k + 2] = rng.uniform(-self.start_noise, self.start_noise, (environments, 2))
+        s[:, k + 2] = self.rest_height
+        turn = 5 * rng.uniform(-self.start_noise, self.start_noise, environments)
+        s[:, k + 3], s[:, k + 6] = np.cos(turn / 2), np.sin(turn / 2)
+        return s
+
+    def observe(self, s: np.ndarray) -> np.ndarray:
+        k = self.hand.joints
+        pose = s[:, k : k + POSE].copy()
+        pose[:, 3:] *= np.where(pose[:, 3:4] < 0, -1.0, 1.0)  # q and -q are the same orientation
+        palm, joints = (s[:, :1] - 0.35) / 0.15, (s[:, 1:k] - 0.55) / 0.7
+        middle, spread = np.array([0, 0, 0.15, 1, 0, 0, 0]), np.array([0.1, 0.1, 0.15, 0.3, 0.3, 0.3, 0.3])
+        return np.concatenate([palm, joints, (pose - middle) / spread], 1, dtype=np.float32)
+
+    def proxy_input(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return np.concatenate([self.observe(s), a / self._action_scale], 1, dtype=np.float32)
+
+    def sample_pairs(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        k, nominal = self.hand.joints, self.hw_phy(self.design_space.initial)
+        s = self.reset(nominal, count, rng)
+        s[:, :k] = rng.uniform(*self.hand.joint_range.T, (count, k))
+        return s, self._action_scale * rng.uniform(-1, 1, (count, k))
+
+    def step(self, hardware: Hardware, s: np.ndarray, action: np.ndarray) -> Transition:
+        physics = _physics(hardware)
+        a = self._action_scale * np.clip(action, -1, 1)
+        outcome = physics.run(s, a)
+        k = self.hand.joints
+        position, button = outcome.s[:, k : k + 3], outcome.s[:, k + POSE]
+        risen = position[:, 2] - self.rest_height
+        on_button, on_body = np.moveaxis(outcome.sensors[..., 0] > 0, 2, 0)  # (N, fingers) each
+        contact = on_button.any(1)
+        pressed = contact & (button < -PRESSED * self.button_travel)
+        lifted = (risen > self.lift_height) & ((on_button | on_body).sum(1) >= 2)
+        goal = pressed & lifted
+        if self.grasp == "two_besides_presser":
+            holders = on_body.sum(1, keepdims=True) - on_body  # besides each finger
+            goal &= (on_button & (holders >= 2)).any(1)
+        distance = np.linalg.norm(position - np.array([0, 0, self.goal_height]), axis=1)
+        terms = {
+            "distance": -self.distance_weight * np.minimum(distance, 1.0),
+            "contact": self.contact_weight * (contact & (risen > 0.01)),
+            "height": self.height_weight * np.clip(risen, 0, self.height_limit),
+            "goal": self.goal_bonus * goal,
+        }
+        terms = {name: self.reward_scale * term for name, term in terms.items()}
+        return Transition(
+            s=outcome.s,
+            a=a,
+            z=outcome.z,
+            reward=sum(terms.values(), np.zeros(len(s))),
+            reward_terms=terms,
+            terminated=np.zeros(len(s), dtype=bool),
+            truncated=outcome.diverged | self.hand.interpenetrates(physics.phi),
+            success=goal,
+            milestones={"lifted": lifted, "pressed": pressed},
+            contact=_contact_points(outcome.sensors),
+        )
+
+    def solved(self, reached: np.ndarray) -> np.ndarray:
+        """Held: (N,) bool, reached (T, N) in at least half of the last ten control steps."""
+        return reached[-10:].mean(0) >= 0.5
+
+    def spec(self, phi: np.ndarray) -> mujoco.MjSpec:
+        return self.hand.spec(phi, self.name)
+
+    def scene(self, phi: np.ndarray) -> mujoco.MjSpec:
+        spec = self.spec(phi)
+        spec.delete(spec.key("start"))  # of the hand alone: it does not fit the scene's qpos
+        _set_physics(spec)
+        table = spec.worldbody.add_geom(
+            name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.6, 0.6, 0.1], friction=TABLE_FRICTION, condim=4,
+            rgba=palette.TABLE,
+        )  # fmt: skip
+        table.contype, table.conaffinity = TABLE_CONTACT
+        self.add_object(spec)
+        goal = spec.worldbody.add_geom(
+            name="goal", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], pos=[0, 0, self.goal_height],
+            rgba=palette.GOAL,
+        )  # fmt: skip
+        goal.contype = goal.conaffinity = 0
+        for i in range(1, self.fingers + 1):
+            _add_contact_sensor(spec, mujoco.mjtObj.mjOBJ_BODY, f"finger_{i}_distal", "button")
+            _add_contact_sensor(spec, mujoco.mjtObj.mjOBJ_XBODY, f"finger_{i}_proximal", "object")
+        return spec
+
+    def qpos(self, s: np.ndarray) -> np.ndarray:
+        return s[:, : self._nq]
+
+
+def add_free_body(spec: mujoco.MjSpec, height: float) -> mujoco.MjsBody:
+    """Return a new body "object", free to move."""
+    body = spec.worldbody.add_body(name="object", pos=[0, 0, height])
+    body.add_freejoint()
+    return body
+
+
+def add_button(
+    body: mujoco.MjsBody,
+    position: list[float],
+    axis: list[float],
+    half_size: list[float],
+    travel: float,
+    stiffness: float,
+) -> None:
+    """Add a sprung button, a box that slides against `axis` by at most `travel` m."""
+    button = body.add_body(name="button", pos=position)
+    button.add_joint(
+        name="button", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, range=[-travel, 0], stiffness=[stiffness, 0, 0],
+        damping=[BUTTON_DAMPING, 0, 0], armature=BUTTON_ARMATURE,
+    )  # fmt: skip
+    plate = button.add_geom(
+        name="button", type=mujoco.mjtGeom.mjGEOM_BOX, size=half_size, mass=BUTTON_MASS, friction=OBJECT_FRICTION,
+        condim=4, rgba=palette.BUTTON,
+    )  # fmt: skip
+    plate.contype, plate.conaffinity = 0, OBJECT_CONTACT[1]
+
+
+def _set_physics(spec: mujoco.MjSpec) -> None:
+    option = spec.option
+    option.timestep = TIMESTEP
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = 5
+    option.iterations, option.ls_iterations = 100, 50  # with 20 and 10, one random episode in ten explodes
+    # A diverged simulation must show: the automatic reset would return a plausible state.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
+
+def _add_contact_sensor(spec: mujoco.MjSpec, kind: mujoco.mjtObj, finger: str, target: str) -> None:
+    fields = mujoco.mjtConDataField
+    sensor = spec.add_sensor(
+        name=f"{finger}_on_{target}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=kind, objname=finger,
+        reftype=mujoco.mjtObj.mjOBJ_BODY, refname=target,
+    )  # fmt: skip
+    strongest = 2
+    sensor.intprm = [1 << int(fields.mjCONDATA_FOUND) | 1 << int(fields.mjCONDATA_POS), strongest, 1]
+    sensor.dim = SENSOR_SIZE
+
+
+def _contact_points(sensors: np.ndarray) -> np.ndarray:
+    """Return where (N, fingers, 3) m each finger touches: the button, else the object, else NaN."""
+    points = np.where(sensors[:, :, :1, 0] > 0, sensors[:, :, 0, 1:], sensors[:, :, 1, 1:])
+    return np.where((sensors[..., 0] > 0).any(2)[..., None], points, np.nan)
+
+
+def _physics(hardware: Hardware) -> HandPhysics:
+    if not isinstance(hardware, HandPhysics):
+        raise ValueError('the hands run in MuJoCo alone, not in the proxy\'s world: explore by "design"')
+    return hardware
+
+
+def _rotation_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the rotation vectors (N, 3) rad, in the world frame, that turn quaternions (N, 4) into others."""
+    w, v = before[:, :1], before[:, 1:]
+    w2, v2 = after[:, :1], after[:, 1:]
+    real = w2 * w + (v2 * v).sum(1, keepdims=True)  # after * conjugate(before)
+    imaginary = -w2 * v + w * v2 - np.cross(v2, v)
+    imaginary = np.where(real < 0, -imaginary, imaginary)
+    sine = np.linalg.norm(imaginary, axis=1, keepdims=True)
+    angle = 2 * np.arctan2(sine, np.abs(real))
+    return imaginary * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
