@@ -168,8 +168,7 @@ def _by_gradient(physics: _Physics, space: DesignSpace, dataset: Dataset, start:
         hw_phy = physics.task.hw_phy(phi)
         jacobian = getattr(hw_phy, "jacobian", None)
         if jacobian is None:
-            name = physics.task.name
-            raise ValueError(f'{name} has no gradient of Hw-Phy in phi: search by "cma" or "drift", not "gradient"')
+            raise ValueError(f'the Hw-Phy of {physics.task.name} has no gradient in phi: search by "cma" or "drift"')
         dz = jacobian(dataset.s, dataset.a)  # (n, z, d)
         residual = hw_phy(dataset.s, dataset.a) - dataset.z
         if step is None:

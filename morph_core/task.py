@@ -151,3 +151,12 @@ class Task(Protocol):
     def qpos(self, s: np.ndarray) -> np.ndarray:
         """Return MuJoCo's qpos (N, nq) of `scene` for states s; it begins with the qpos of `spec`."""
         ...
+
+
+def check_settings(task: Task, config: Config) -> None:
+    """Raise ValueError where a task can't be run with these settings."""
+    if config.exploration not in task.explorations:
+        allowed = ", ".join(task.explorations)
+        raise ValueError(f'{task.name} can\'t be explored by "{config.exploration}"; choose from: {allowed}')
+    if config.search == "gradient" and not hasattr(task.hw_phy(task.design_space.initial), "jacobian"):
+        raise ValueError(f'the Hw-Phy of {task.name} has no gradient in phi: search by "cma" or "drift"')

@@ -42,7 +42,7 @@ from morph_core.protocol import (
 )
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, RunFolderError, hold, write_rollout
 from morph_core.state import State, start
-from morph_core.task import Task
+from morph_core.task import Task, check_settings
 from morph_core.tasks import make_task
 
 T = TypeVar("T")
@@ -81,6 +81,7 @@ class Trainer:
         """Train until the last iteration, a stop or an exception."""
         task = make_task(self._record.task, self._record.task_options)
         config = config_from(self._record.config)
+        check_settings(task, config)
         state, cpu_before = self._load(task, config)
         cpu_start = time.process_time() - cpu_before
         if state.iteration < self._last:

@@ -16,6 +16,7 @@ from morph_core.config import Method, config_from
 from morph_core.design import DesignSpace
 from morph_core.protocol import Parameter, Parent, RunRecord
 from morph_core.run_folder import RunFolder, RunFolderError, create_run, new_run_id
+from morph_core.task import check_settings
 from morph_core.tasks import make_task
 
 MAX_ITERATIONS = 1_000_000
@@ -38,6 +39,7 @@ def prepare_run(
     try:
         chosen = make_task(task, task_options)
         config = config_from(dict(settings or {}), chosen.config)
+        check_settings(chosen, config)
     except (TypeError, OverflowError) as error:  # a list where a number belongs, 10**400 where a float does
         raise ValueError(f"a setting of {task} has the wrong type or size: {error}") from error
     if method not in typing.get_args(Method):

@@ -108,7 +108,7 @@ class GraspTask(ABC):
     initial_length: float = 0.12
     """m: both links of every finger of the initial design."""
     lift_height: float = 0.05
-    """m: risen by more than this, the object is in the hand if enough fingers touch it."""
+    """m: this far above the table, the object is in the hand if enough fingers touch it."""
     goal_height: float = 0.30
     """m: p_goal is this high above the middle of the table."""
     distance_weight: float = 0.3
@@ -118,7 +118,7 @@ class GraspTask(ABC):
     """beta_0: reward while a distal link touches the button and the object is off the table. A larger one, or one
     on the table, presses the button there for ever."""
     height_weight: float = 8.0
-    """beta_1: reward per metre that the object has risen, up to `height_limit`."""
+    """beta_1: reward per metre between object and table, up to `height_limit`."""
     height_limit: float = 0.27
     """m."""
     goal_bonus: float = 10.0
@@ -160,8 +160,8 @@ class GraspTask(ABC):
 
     @property
     @abstractmethod
-    def rest_height(self) -> float:
-        """m: of the object's frame while it lies on the table."""
+    def half_extents(self) -> np.ndarray:
+        """(3,) m: of the box round the object, which lies flat on the table, its frame in the middle of that box."""
 
     @property
     @abstractmethod
@@ -226,6 +226,17 @@ class GraspTask(ABC):
         units = np.array([Z_PALM, *[Z_JOINT] * (k - 1), *[Z_POSITION] * 3, *[Z_ROTATION] * 3])
         return difference / units
 
+    def clearance(self, s: np.ndarray) -> np.ndarray:
+        """Return how far (N,) m the lowest corner of the box round the object is above the table.
+
+        The paper's z_obj. The height of its middle would reward a seesaw: a finger that presses on the overhanging
+        button levers the rest up, and learning ends there.
+        """
+        k = self.hand.joints
+        w, x, y, z = s[:, k + 3 : k + 7].T
+        up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1)  # the frame's axes' z
+        return s[:, k + 2] - np.abs(up) @ self.half_extents
+
     def hw_phy(self, phi: np.ndarray) -> HandPhysics:
         return HandPhysics(self, np.asarray(phi, dtype=float))
 
@@ -234,7 +245,7 @@ class GraspTask(ABC):
         s = np.zeros((environments, self.state_size))
         s[:, :k] = self.hand.start(physics.phi)
         s[:, k : k + 2] = rng.uniform(-self.start_noise, self.start_noise, (environments, 2))
-        s[:, k + 2] = self.rest_height
+        s[:, k + 2] = self.half_extents[2]
         turn = 5 * rng.uniform(-self.start_noise, self.start_noise, environments)
         s[:, k + 3], s[:, k + 6] = np.cos(turn / 2), np.sin(turn / 2)
         return s
@@ -262,7 +273,7 @@ class GraspTask(ABC):
         outcome = physics.run(s, a)
         k = self.hand.joints
         position, button = outcome.s[:, k : k + 3], outcome.s[:, k + POSE]
-        risen = position[:, 2] - self.rest_height
+        risen = self.clearance(outcome.s)
         on_button, on_body = np.moveaxis(outcome.sensors[..., 0] > 0, 2, 0)  # (N, fingers) each
         contact = on_button.any(1)
         pressed = contact & (button < -PRESSED * self.button_travel)
@@ -381,7 +392,7 @@ def _contact_points(sensors: np.ndarray) -> np.ndarray:
 
 def _physics(hardware: Hardware) -> HandPhysics:
     if not isinstance(hardware, HandPhysics):
-        raise ValueError('the hands run in MuJoCo alone, not in the proxy\'s world: explore by "design"')
+        raise ValueError('hands run in MuJoCo, not in the proxy\'s world: explore by "design"')
     return hardware
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
+import numpy as np
 
 from morph_core.config import Config
 from morph_core.tasks import palette
@@ -49,15 +50,15 @@ class PenPress(GraspTask):
         )  # fmt: skip
 
     @property
-    def rest_height(self) -> float:
-        return self.half_width
+    def half_extents(self) -> np.ndarray:
+        return np.array([self.half_length, self.half_width, self.half_width])
 
     @property
     def button_travel(self) -> float:
         return self.travel
 
     def add_object(self, spec: mujoco.MjSpec) -> None:
-        pen = add_free_body(spec, self.rest_height)
+        pen = add_free_body(spec, self.half_width)
         box = pen.add_geom(
             name="object", type=mujoco.mjtGeom.mjGEOM_BOX, size=[self.half_length, self.half_width, self.half_width],
             mass=self.mass, friction=OBJECT_FRICTION, condim=4, rgba=palette.OBJECT,
