@@ -1,0 +1,136 @@
+"""Mass, centre of mass and inertia of the printed parts: polynomials in a link's length, a sum over a palm's mounts.
+
+The parts themselves are drawn in `studio.geometry`, whose tests compare them with the numbers here. They are printed
+solid, so that mass is spread evenly; pins, bolts and motors are not in it.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+DENSITY = 1240.0  # kg/m^3: PLA
+INFILL = 1.0  # share of the volume that is printed
+ARM_SCALE = 2.5
+"""The reacher's links are the hands' links, enlarged."""
+
+LinkKind = Literal["proximal", "distal"]
+"""A proximal link ends in a clevis, a distal one in a fingertip."""
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """What MuJoCo and URDF want to know of a body, in its own frame."""
+
+    mass: float
+    """kg."""
+    com: np.ndarray
+    """(3,) m."""
+    inertia: np.ndarray
+    """(3, 3) kg m^2 about the centre of mass."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Integrals over a body's volume, about its frame's origin; they add up."""
+
+    volume: float  # m^3
+    first: np.ndarray  # (3,) m^4
+    second: np.ndarray  # (3, 3) m^5: of the products of coordinates
+
+    def __add__(self, other: "Moments") -> "Moments":
+        return Moments(self.volume + other.volume, self.first + other.first, self.second + other.second)
+
+    def turned(self, rotation: np.ndarray) -> "Moments":
+        """Return the moments after the body was turned by `rotation` (3, 3)."""
+        return Moments(self.volume, rotation @ self.first, rotation @ self.second @ rotation.T)
+
+    def scaled(self, factor: float) -> "Moments":
+        return Moments(factor**3 * self.volume, factor**4 * self.first, factor**5 * self.second)
+
+    def inertial(self) -> Inertial:
+        com = self.first / self.volume
+        central = self.second - self.volume * np.outer(com, com)
+        density = DENSITY * INFILL
+        return Inertial(density * self.volume, com, density * (np.trace(central) * np.eye(3) - central))
+
+
+@dataclass(frozen=True)
+class LinkMoments:
+    """A link that hangs along -z: moments as polynomials in its length (m), lowest power first."""
+
+    volume: tuple[float, ...]
+    z: tuple[float, ...]
+    xx: tuple[float, ...]
+    yy: tuple[float, ...]
+    zz: tuple[float, ...]
+
+    def at(self, length: float) -> Moments:
+        powers = length ** np.arange(4)
+
+        def value(coefficients: tuple[float, ...]) -> float:
+            return float(np.dot(coefficients, powers[: len(coefficients)]))
+
+        first = np.array([0.0, 0.0, value(self.z)])
+        return Moments(value(self.volume), first, np.diag([value(self.xx), value(self.yy), value(self.zz)]))
+
+
+# Printed by `python -m studio.geometry`.
+LINKS = {
+    "proximal": LinkMoments(
+        volume=(-1.3708064232412148e-06, 0.00025619365751953116),
+        z=(-2.877262988849767e-09, 6.056233155863044e-07, -0.00012809682875976626),
+        xx=(-2.446518186738158e-11, 2.9440737916367488e-09),
+        yy=(-4.9222100280838794e-11, 9.813185030258263e-09),
+        zz=(-4.44724260780961e-11, 1.5476090801156417e-08, -6.056233155860652e-07, 8.539788583984341e-05),
+    ),
+    "distal": LinkMoments(
+        volume=(6.009792533397556e-07, 0.0002561936575195312),
+        z=(-3.938387689455077e-09, -1.7608012439787348e-06, -0.00012809682875976518),
+        xx=(-9.712431232928208e-12, 2.9440737916367434e-09),
+        yy=(-4.5002220264243514e-11, 9.813185030258238e-09),
+        zz=(5.3134050015651227e-11, 2.3824558118261415e-08, 1.7608012439789377e-06, 8.539788583984307e-05),
+    ),
+}
+PLATE = Moments(
+    0.00019955666372423398,
+    np.array([0.0, 0.0, 3.5024304270862225e-06]),
+    np.array(
+        [[1.8291381158953757e-07, 0.0, 0.0], [0.0, 1.8291381158953773e-07, 0.0], [0.0, 0.0, 6.738602038112333e-08]]
+    ),
+)
+MOUNT = Moments(
+    2.1788899492730503e-06,
+    np.array([1.2389866308732644e-07, 0.0, 4.995691343020779e-09]),
+    np.array(
+        [
+            [7.10127031054526e-09, 0.0, 2.5770607804712645e-10],
+            [0.0, 1.2265651817679777e-10, 0.0],
+            [2.5770607804712645e-10, 0.0, 4.483171949540902e-11],
+        ]
+    ),
+)
+
+LAID = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""From a hanging link, which turns about y, to one of the arm, which lies along x and turns about z."""
+
+
+def link_inertial(kind: LinkKind, length: float) -> Inertial:
+    """Return a finger's link of `length` m; its frame is at its joint, it hangs along -z."""
+    return LINKS[kind].at(length).inertial()
+
+
+def palm_inertial(angles: np.ndarray) -> Inertial:
+    """Return the palm with mounts at `angles` (n,) rad; its origin is on its axis, level with the fingers' joints.
+
+    Mounts that overlap count twice: such a hand can't be assembled, and its episodes are truncated.
+    """
+    total = PLATE
+    for cos, sin in zip(np.cos(angles), np.sin(angles), strict=True):
+        total += MOUNT.turned(np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]))
+    return total.inertial()
+
+
+def arm_link_inertial(kind: LinkKind, length: float) -> Inertial:
+    """Return a link of the reacher of `length` m; its frame is at its joint, it lies along x."""
+    return LINKS[kind].at(length / ARM_SCALE).scaled(ARM_SCALE).turned(LAID).inertial()

@@ -1,0 +1,288 @@
+"""The printable parts in millimetres: links with a tang, a clevis or a fingertip, and pin bores; palm and base.
+
+A link hangs from its joint along -z and turns about y. Only its prismatic shaft grows with its length, so that its
+mass properties are the polynomials of `morph_core.tasks.printed`, and the shortest link is one body like the longest.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from manifold3d import CrossSection, Manifold, OpType
+
+from morph_core.tasks.printed import ARM_SCALE, LAID, LinkMoments, Moments
+
+Kind = Literal["proximal", "distal"]
+"""A proximal link ends in a clevis, a distal one in a fingertip."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """mm, unless it says otherwise. The shortest link leaves little room: the tests tell when a change needs more."""
+
+    joint_radius: float = 6.0
+    """Of tang and lugs round the pin."""
+    pin_diameter: float = 4.0
+    """A dowel pin, pressed into the lugs."""
+    pin_play: float = 0.2
+    """By which the bore of the tang is wider than the pin."""
+    tang: float = 8.0
+    """Thickness of the tang, along the pin."""
+    side_play: float = 0.3
+    """Between the tang and each lug."""
+    gap: float = 0.5
+    """Between a lug's round and the shoulder that turns round it."""
+    half_width: float = 11.0
+    """Of links and mounts, along the pin."""
+    half_depth: float = 6.0
+    """Of the shaft."""
+    corner: float = 3.0
+    """Radius of the shaft's edges."""
+    chamfer: float = 1.0
+    """Of a shoulder."""
+    fold: float = 2.2
+    """rad: how far a distal link can be folded against its proximal one, either way."""
+    overlap: float = 0.4
+    """By which pieces reach into each other, to become one body."""
+    tip_start: float = 7.4
+    """How far before the end of the link the fingertip begins to taper."""
+    tip_reach: float = 14.5
+    """How far it reaches beyond that end."""
+    tip_radii: tuple[float, float, float] = (5.0, 8.5, 6.0)
+    """Of its round end: depth, width, length."""
+    segments: int = 48
+    """Of a circle."""
+    palm_radius: float = 59.5
+    palm_low: float = 8.0
+    """Height of the palm's underside above the pins of the fingers, which turn below it."""
+    palm_high: float = 27.0
+    palm_chamfer: float = 2.0
+    palm_segments: int = 240
+    mount_radius: float = 60.0
+    """Distance of the fingers' pins from the palm's axis."""
+    mount_root: tuple[float, float] = (44.0, 54.0)
+    """Where a mount meets the palm: distances from the palm's axis."""
+    bolt_circle: float = 50.0
+    """Diameter. With four M6 bolts it fits the flange ISO 9409-1-50-4-M6."""
+    bolt_diameter: float = 6.6
+    bolt_head: tuple[float, float] = (11.0, 7.0)
+    """Diameter and depth of the counterbores."""
+    cable_hole: float = 20.0
+    """Diameter, in the middle of the palm."""
+    foot_radius: float = 47.5
+    """Of the reacher's foot, before it is enlarged like its links."""
+    foot_high: float = -12.0
+    """Top of the foot's disc below the axis of the arm."""
+    foot_low: float = -24.0
+
+    @property
+    def shoulder(self) -> float:
+        """Distance from the pin of the shoulders, and of a slot's floor."""
+        return self.joint_radius + self.gap
+
+    @property
+    def neck(self) -> float:
+        """Half-depth of a link at its shoulder, where it can be folded: half the angle belongs to each of two links."""
+        half = (math.pi - self.fold) / 2
+        return self.shoulder * math.tan(half) - self.gap / 2 / math.cos(half)
+
+    @property
+    def relief(self) -> float:
+        """Distance from the pin at which such a link has its full depth."""
+        half = (math.pi - self.fold) / 2
+        return (self.half_depth + self.gap / 2 / math.cos(half)) / math.tan(half)
+
+
+SIZES = Sizes()
+
+
+@cache
+def link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
+    """Return a link of `length` mm in the frame of its joint."""
+    if kind == "proximal":
+        neck = sizes.half_depth - sizes.chamfer
+        return _clevis_shaft(length, sizes) + _eye(sizes, neck, sizes.tang) - _bore(sizes, sizes.pin_play)
+    return _tip_shaft(length, sizes) + _eye(sizes, sizes.neck, sizes.tang) - _bore(sizes, sizes.pin_play)
+
+
+@cache
+def palm(angles: tuple[float, ...], sizes: Sizes = SIZES) -> Manifold:
+    """Return the palm with mounts at `angles` rad. Its origin is on its axis, at the height of the fingers' pins."""
+    mounts = [mount(sizes).rotate((0, 0, math.degrees(angle))) for angle in angles]
+    return Manifold.batch_boolean([plate(sizes), *mounts], OpType.Add)
+
+
+@cache
+def plate(sizes: Sizes = SIZES) -> Manifold:
+    """Return the palm without mounts."""
+    radius, low, high, c = sizes.palm_radius, sizes.palm_low, sizes.palm_high, sizes.palm_chamfer
+    profile = [
+        (sizes.cable_hole / 2, low), (radius - c, low), (radius, low + c), (radius, high - c), (radius - c, high),
+        (sizes.cable_hole / 2, high),
+    ]  # fmt: skip
+    disc = Manifold.revolve(CrossSection([profile]), sizes.palm_segments)
+    head, depth = sizes.bolt_head
+    bolt = _cylinder(sizes.bolt_diameter / 2, low - 1, high + 1, sizes) + _cylinder(
+        head / 2, low - 1, low + depth, sizes
+    )
+    bolts = [bolt.translate((sizes.bolt_circle / 2, 0, 0)).rotate((0, 0, 45 + 90 * i)) for i in range(4)]
+    return disc - Manifold.batch_boolean(bolts, OpType.Add)
+
+
+@cache
+def mount(sizes: Sizes = SIZES, overlap: float = SIZES.overlap) -> Manifold:
+    """Return the clevis of a finger at angle 0, reaching into the palm by `overlap`."""
+    near, far = sizes.mount_root
+    root = _corners((near, far), 2 * sizes.half_width, (sizes.palm_low, sizes.palm_low + 1))
+    pin, eye = sizes.mount_radius, _cylinder_y(sizes.joint_radius, 2 * sizes.half_width, sizes)
+    # The neck begins above the pin: the shoulder of a finger that bends inward turns below it.
+    low = 0.3 * sizes.joint_radius
+    half = math.sqrt(sizes.joint_radius**2 - low**2) - 0.1
+    neck = _corners((pin - half, pin + half), 2 * sizes.half_width, (low, low + 1))
+    block = Manifold.batch_hull([neck, root]).trim_by_plane((0, 0, -1), -sizes.palm_low - overlap)
+    block += eye.translate((pin, 0, 0))
+    slot = _corners((pin - sizes.shoulder, 1e3), _slot(sizes), (-1e3, sizes.palm_low))
+    return block - slot - _bore(sizes).translate((pin, 0, 0))
+
+
+@cache
+def arm_link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
+    """Return a link of the reacher of `length` mm, which lies along x and turns about z: a finger's, enlarged."""
+    return link(kind, length / ARM_SCALE, sizes).transform(np.column_stack([ARM_SCALE * LAID, np.zeros(3)]))
+
+
+@cache
+def arm_base(sizes: Sizes = SIZES) -> Manifold:
+    """Return the reacher's foot: a disc and a boss, on which the first link turns round its pin."""
+    outline = [
+        (sizes.pin_diameter / 2, sizes.foot_low), (sizes.foot_radius, sizes.foot_low),
+        (sizes.foot_radius, sizes.foot_high), (sizes.joint_radius, sizes.foot_high), (sizes.joint_radius, -sizes.tang / 2 - sizes.side_play),
+        (sizes.pin_diameter / 2, -sizes.tang / 2 - sizes.side_play),
+    ]  # fmt: skip
+    scaled = [(ARM_SCALE * r, ARM_SCALE * z) for r, z in outline]
+    return Manifold.revolve(CrossSection([scaled]), sizes.palm_segments)
+
+
+def _clevis_shaft(length: float, sizes: Sizes) -> Manifold:
+    """Return a shaft with a shoulder at its joint and a clevis at its end."""
+    h, c, shoulder = sizes.half_depth, sizes.chamfer, sizes.shoulder
+    outline = [(h - c, -shoulder), (h, -shoulder - c), (h, sizes.relief - length), (sizes.neck, shoulder - length)]
+    end = (0, 0, -length)
+    lugs = _eye(sizes, sizes.neck, 2 * sizes.half_width).mirror((0, 0, 1)).translate(end)
+    slot = _corners((-1e3, 1e3), _slot(sizes), (-1e3, shoulder)).translate(end)
+    return ((_extruded(outline, sizes) + lugs) ^ _prism(length, sizes)) - slot - _bore(sizes).translate(end)
+
+
+def _tip_shaft(length: float, sizes: Sizes) -> Manifold:
+    """Return a shaft that can be folded at its joint, and tapers into a fingertip."""
+    taper = [(x, y, z) for x, y in _section(sizes) for z in (-sizes.shoulder, sizes.tip_start - length)]
+    radius = sizes.tip_radii[2]
+    ball = Manifold.sphere(1.0, sizes.segments).scale(sizes.tip_radii)
+    ball = ball.translate((0, 0, radius - sizes.tip_reach - length))
+    outline = [
+        (sizes.neck, -sizes.shoulder), (sizes.half_depth, -sizes.relief), (sizes.half_depth, -sizes.tip_reach - length),
+    ]  # fmt: skip
+    return Manifold.batch_hull([Manifold.hull_points(np.array(taper)), ball]) ^ _extruded(outline, sizes)
+
+
+def _eye(sizes: Sizes, neck: float, width: float) -> Manifold:
+    """Return a round lug about y; its neck reaches down into the shaft."""
+    foot = _corners((-neck, neck), width, (-sizes.shoulder - sizes.overlap, -sizes.shoulder))
+    return Manifold.batch_hull([_cylinder_y(sizes.joint_radius, width, sizes), foot])
+
+
+def _extruded(outline: list[tuple[float, float]], sizes: Sizes) -> Manifold:
+    """Return the convex body between an outline (x, z) and its mirror image, as wide as a link."""
+    y = sizes.half_width
+    return Manifold.hull_points(np.array([(a * x, b * y, z) for x, z in outline for a in (-1, 1) for b in (-1, 1)]))
+
+
+def _prism(length: float, sizes: Sizes) -> Manifold:
+    """Return the shaft's rounded section from above the joint to below the link's end."""
+    ends = (sizes.joint_radius + 1, -length - sizes.joint_radius - 1)
+    return Manifold.hull_points(np.array([(x, y, z) for x, y in _section(sizes) for z in ends]))
+
+
+def _section(sizes: Sizes) -> list[tuple[float, float]]:
+    """Return the corners (x, y) of the shaft's section."""
+    c, quarter = sizes.corner, sizes.segments // 4
+    angles = [math.pi / 2 * i / quarter for i in range(quarter + 1)]
+    x, y = sizes.half_depth - c, sizes.half_width - c
+    return [(a * (x + c * math.cos(t)), b * (y + c * math.sin(t))) for t in angles for a in (-1, 1) for b in (-1, 1)]
+
+
+def _corners(x: tuple[float, float], width: float, z: tuple[float, float]) -> Manifold:
+    """Return a box, `width` wide about y = 0."""
+    return Manifold.cube((x[1] - x[0], width, z[1] - z[0])).translate((x[0], -width / 2, z[0]))
+
+
+def _slot(sizes: Sizes) -> float:
+    return sizes.tang + 2 * sizes.side_play
+
+
+def _bore(sizes: Sizes, play: float = 0.0) -> Manifold:
+    """Return the pin's hole about y; the pin fits inside its facets."""
+    radius = (sizes.pin_diameter + play) / 2 / math.cos(math.pi / sizes.segments)
+    return _cylinder_y(radius, 4 * sizes.half_width, sizes)
+
+
+def _cylinder(radius: float, low: float, high: float, sizes: Sizes) -> Manifold:
+    return Manifold.cylinder(high - low, radius, radius, sizes.segments).translate((0, 0, low))
+
+
+def _cylinder_y(radius: float, width: float, sizes: Sizes) -> Manifold:
+    return _cylinder(radius, -width / 2, width / 2, sizes).rotate((90, 0, 0))
+
+
+def mesh(part: Manifold) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (V, 3) float64 and faces (F, 3) int64."""
+    flat = part.to_mesh64()
+    return np.array(flat.vert_properties)[:, :3], np.array(flat.tri_verts).astype(np.int64)
+
+
+def moments(vertices: np.ndarray, faces: np.ndarray) -> Moments:
+    """Return the moments of a closed surface about the origin, by tetrahedra from there; in the vertices' unit."""
+    corners = vertices[faces]  # (F, 3, 3)
+    volumes = np.linalg.det(corners) / 6  # signed
+    sums = corners.sum(1)
+    squares = np.einsum("fci,fcj->fij", corners, corners) + np.einsum("fi,fj->fij", sums, sums)
+    return Moments(float(volumes.sum()), volumes @ sums / 4, np.einsum("f,fij->ij", volumes, squares) / 20)
+
+
+def measured_link(kind: Kind, sizes: Sizes = SIZES) -> LinkMoments:
+    """Return the polynomials through four drawn links."""
+    lengths = np.array([0.02, 0.1, 0.25, 0.4])  # m
+    drawn = [moments(*mesh(link(kind, 1e3 * length, sizes))).scaled(1e-3) for length in lengths]
+
+    def through(values: list[float], degree: int) -> tuple[float, ...]:
+        return tuple(float(c) for c in np.polynomial.polynomial.polyfit(lengths, values, degree))
+
+    return LinkMoments(
+        volume=through([m.volume for m in drawn], 1),
+        z=through([m.first[2] for m in drawn], 2),
+        xx=through([m.second[0, 0] for m in drawn], 1),
+        yy=through([m.second[1, 1] for m in drawn], 1),
+        zz=through([m.second[2, 2] for m in drawn], 3),
+    )
+
+
+def _constants() -> str:
+    """Return the constants of `morph_core.tasks.printed`, as Python."""
+    lines = ["LINKS = {"]
+    for kind in ("proximal", "distal"):
+        fields = (f"        {name}={value!r}," for name, value in vars(measured_link(kind)).items())
+        lines += [f'    "{kind}": LinkMoments(', *fields, "    ),"]
+    lines.append("}")
+    for name, part in (("PLATE", plate()), ("MOUNT", mount(SIZES, overlap=0.0))):
+        m = moments(*mesh(part)).scaled(1e-3)
+        # Both are symmetric about y = 0, the palm's plate in every direction round its axis.
+        first = [0.0 if name == "PLATE" else float(m.first[0]), 0.0, float(m.first[2])]
+        second = np.where(np.abs(m.second) > 1e-9 * np.abs(m.second).max(), m.second, 0.0).tolist()
+        lines += [f"{name} = Moments({m.volume!r},", f"    np.array({first}),", f"    np.array({second}),", ")"]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(_constants())  # noqa: T201
