@@ -15,7 +15,10 @@ KINDS: dict[int, str] = {
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
     int(mujoco.mjtGeom.mjGEOM_BOX): "box",
     int(mujoco.mjtGeom.mjGEOM_MESH): "mesh",
+    int(mujoco.mjtGeom.mjGEOM_PLANE): "box",
 }
+_PLANE_THICKNESS = 0.02
+"""Of the slab that a plane is drawn as, as a share of its shorter side's half."""
 _LAST_VISIBLE_GROUP = 2
 """MuJoCo's own viewers hide the groups beyond it: collision shapes by convention."""
 
@@ -65,6 +68,7 @@ class Figure:
             if int(model.geom_type[i]) in KINDS
             and model.geom_group[i] <= _LAST_VISIBLE_GROUP
             and model.geom_rgba[i, 3] > 0
+            and not _is_endless(model, i)
         ]
         data = mujoco.MjData(model)
         positions = np.empty((len(qpos), len(visible), 3), np.float32)
@@ -77,11 +81,15 @@ class Figure:
             for k, i in enumerate(visible):
                 mujoco.mju_mat2Quat(quaternion, data.geom_xmat[i])
                 wxyz[t, k] = quaternion
+        sizes = np.array([_size(model, i) for i in visible]).reshape(-1, 3)
+        for k, i in enumerate(visible):
+            if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:  # its top is the plane
+                positions[:, k] -= _matrices(wxyz[:, k])[..., 2] * sizes[k, 2]
         kinds = tuple(KINDS[int(model.geom_type[i])] for i in visible)
         return cls(
             names=tuple(model.geom(i).name or model.body(int(model.geom_bodyid[i])).name for i in visible),
             kinds=kinds,
-            sizes=np.array([_size(k, model.geom_size[i]) for k, i in zip(kinds, visible, strict=True)]).reshape(-1, 3),
+            sizes=sizes,
             colours=np.round(255 * model.geom_rgba[visible, :3]).astype(np.uint8),
             meshes=tuple(_mesh(model, i) if k == "mesh" else None for k, i in zip(kinds, visible, strict=True)),
             positions=positions,
@@ -94,6 +102,33 @@ class Figure:
     @property
     def instants(self) -> int:
         return len(self.positions)
+
+    @classmethod
+    def balls(cls, centres: np.ndarray, radius: float, name: str, colour: tuple[int, int, int]) -> "Figure":
+        """Return balls of one colour round centres (n, 3) m."""
+        n = len(centres)
+        return cls(
+            names=(name,) * n,
+            kinds=("sphere",) * n,
+            sizes=np.full((n, 3), radius),
+            colours=np.tile(np.array(colour, np.uint8), (n, 1)),
+            meshes=(None,) * n,
+            positions=centres.astype(np.float32).reshape(1, n, 3),
+            wxyz=np.tile(np.array([1, 0, 0, 0], np.float32), (1, n, 1)),
+        )
+
+    @classmethod
+    def joined(cls, figures: Sequence["Figure"]) -> "Figure":
+        """Return one figure of the parts of several, which have the same instants."""
+        return cls(
+            names=tuple(name for f in figures for name in f.names),
+            kinds=tuple(kind for f in figures for kind in f.kinds),
+            sizes=np.concatenate([f.sizes for f in figures]),
+            colours=np.concatenate([f.colours for f in figures]),
+            meshes=tuple(mesh for f in figures for mesh in f.meshes),
+            positions=np.concatenate([f.positions for f in figures], 1),
+            wxyz=np.concatenate([f.wxyz for f in figures], 1),
+        )
 
     def take(self, parts: Sequence[int]) -> "Figure":
         """Return the figure of some of the parts, by index."""
@@ -152,8 +187,16 @@ def smooth(model: mujoco.MjModel, qpos: np.ndarray, factor: int) -> np.ndarray:
     return frames
 
 
-def _size(kind: str, size: np.ndarray) -> np.ndarray:
+def _is_endless(model: mujoco.MjModel, geom: int) -> bool:
+    plane = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE
+    return bool(plane and (model.geom_size[geom, :2] <= 0).any())
+
+
+def _size(model: mujoco.MjModel, geom: int) -> np.ndarray:
     """Return half-extents (3,) for MuJoCo's geom_size (3,), whose unused entries are zero."""
+    kind, size = KINDS[int(model.geom_type[geom])], model.geom_size[geom]
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+        return np.array([*size[:2], _PLANE_THICKNESS * size[:2].min()])
     if kind in ("capsule", "cylinder"):
         return np.array([size[0], size[0], size[1]])
     if kind == "sphere":

@@ -1,7 +1,6 @@
 """The one thread that writes the scene: it builds what is asked for and plays it in a loop."""
 
 import logging
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -10,11 +9,10 @@ import numpy as np
 import viser
 
 from studio.viewer.figure import Figure
-from studio.viewer.scene import CONTACT_COLOUR, GHOST_COLOUR, Layer, Ruler, camera
+from studio.viewer.scene import CONTACT_COLOUR, FIELD_OF_VIEW, GHOST_COLOUR, Layer, Ruler, camera
 from studio.viewer.take import FRAMES_PER_SECOND, Shot, Take, make_take
 
 SPEEDS = (0.1, 4.0)
-_FIELD_OF_VIEW = math.radians(40)
 _HOLD = 1.0
 """Seconds for which the last frame stays before the loop begins again."""
 _IDLE = 0.25
@@ -36,9 +34,11 @@ class Player:
         self._on_time = on_time
         self._on_error = on_error
         self._robot = Layer(server, "robot")
+        self._objects = Layer(server, "objects")
         self._scenery = Layer(server, "scenery")
         self._ghost = Layer(server, "ghost", opacity=0.55)
         self._trail = Layer(server, "trail", opacity=0.35)
+        self._population = Layer(server, "population", opacity=0.3)
         self._contact = Layer(server, "contact")
         self._ruler = Ruler(server)
         self._change = threading.Condition()
@@ -46,8 +46,8 @@ class Player:
         self._take: Take | None = None
         self._built: Shot | None = None
         self._framed: tuple[str, tuple[tuple[str, object], ...]] | None = None
-        self._lit: tuple[bool, int] = (False, -1)
-        self._marked: tuple[float, ...] | None = None
+        self._painted: dict[Layer, np.ndarray] = {}
+        self._marked: bytes | None = None
         self._time = 0.0
         self._sought = False
         self._playing = True
@@ -64,7 +64,8 @@ class Player:
 
     @property
     def node_names(self) -> list[str]:
-        layers = (self._robot, self._scenery, self._ghost, self._trail, self._contact)
+        ghosts = (self._ghost, self._trail, self._population)
+        layers = (self._robot, self._objects, self._scenery, *ghosts, self._contact)
         return sorted(name for layer in layers for name in layer.node_names)
 
     @property
@@ -148,10 +149,15 @@ class Player:
             self._time = 0.0
         with self._server.atomic():
             self._scenery.show(take.scenery)
+            self._objects.show(take.objects, self._instant())
             self._robot.show(take.robot, self._instant())
-            self._ghost.show(take.ghost, 0, _plain(take.ghost))
-            self._trail.show(take.trail, 0, _plain(take.trail))
-        self._lit = (False, -1)
+            for layer, figure in (
+                (self._ghost, take.ghost),
+                (self._trail, take.trail),
+                (self._population, take.population),
+            ):
+                layer.show(figure, 0, _plain(figure))
+        self._painted = {self._scenery: take.scenery.colours, self._objects: take.objects.colours}
 
     def _frame(self, take: Take) -> None:
         """Lay the ruler and point the cameras, once for each task and its options."""
@@ -159,13 +165,13 @@ class Player:
         if place == self._framed:
             return
         self._framed = place
-        self._ruler.show(*take.box)
+        self._ruler.show(take.floor, take.box)
         start = self._server.initial_camera
-        position, target = camera(*take.box, _FIELD_OF_VIEW)
-        start.fov, start.position, start.look_at = _FIELD_OF_VIEW, position, target
+        position, target = camera(*take.box)
+        start.fov, start.position, start.look_at = FIELD_OF_VIEW, position, target
         for client in self._server.get_clients().values():
             camera_of = client.camera
-            camera_of.fov, camera_of.position, camera_of.look_at = _FIELD_OF_VIEW, position, target
+            camera_of.fov, camera_of.position, camera_of.look_at = FIELD_OF_VIEW, position, target
 
     def _instant(self) -> int:
         return min(round(self._time * FRAMES_PER_SECOND), self._take.frames - 1) if self._take else 0
@@ -175,37 +181,26 @@ class Player:
         if take is None:
             return
         frame = self._instant()
-        lit = (bool(take.goal_touched[frame]), int(take.touched[frame]))
-        with self._server.atomic():  # arm, lit wall and contact marker belong to one instant
+        with self._server.atomic():  # robot, lights and contact markers belong to one instant
             self._robot.pose(frame)
-            if lit != self._lit:
-                self._scenery.paint(take.scenery_colours(frame))
-                self._lit = lit
+            self._objects.pose(frame)
+            self._paint(self._scenery, take.scenery_colours(frame))
+            self._paint(self._objects, take.object_colours(frame))
             self._mark(take.contact[frame], take)
 
-    def _mark(self, point: np.ndarray, take: Take) -> None:
-        """Put the contact marker at a point (3,), or away if it is NaN."""
-        marked = tuple(point.tolist()) if np.isfinite(point).all() else None
-        if marked == self._marked:
+    def _paint(self, layer: Layer, colours: np.ndarray) -> None:
+        if not np.array_equal(colours, self._painted.get(layer, colours)):
+            layer.paint(colours)
+        self._painted[layer] = colours
+
+    def _mark(self, points: np.ndarray, take: Take) -> None:
+        """Put markers at points (C, 3), but at none that is NaN."""
+        marked = points[np.isfinite(points).all(1)]
+        if marked.tobytes() == self._marked:
             return
-        self._marked = marked
-        if marked is None:
-            self._contact.show(None)
-            return
+        self._marked = marked.tobytes()
         radius = _CONTACT_RADIUS * float(np.max(take.box[1] - take.box[0]))
-        self._contact.show(_ball(point, radius))
-
-
-def _ball(centre: np.ndarray, radius: float) -> Figure:
-    return Figure(
-        names=("contact",),
-        kinds=("sphere",),
-        sizes=np.full((1, 3), radius),
-        colours=np.array([CONTACT_COLOUR], np.uint8),
-        meshes=(None,),
-        positions=centre.astype(np.float32).reshape(1, 1, 3),
-        wxyz=np.array([[[1, 0, 0, 0]]], np.float32),
-    )
+        self._contact.show(Figure.balls(marked, radius, "contact", CONTACT_COLOUR) if len(marked) else None)
 
 
 def _plain(figure: Figure | None) -> np.ndarray | None:

@@ -10,12 +10,17 @@ import viser
 from studio.viewer import shapes
 from studio.viewer.figure import Figure, Mesh
 
-GOAL_LIT = (20, 200, 90)
-WALL_LIT = (235, 90, 50)
 CONTACT_COLOUR = (225, 30, 30)
 GHOST_COLOUR = (128, 142, 170)
+FIELD_OF_VIEW = math.radians(40)
+"""Vertical."""
 _TILT = math.radians(16)
 """How far the camera leans from straight above, where everything lies in one plane."""
+_OBLIQUE = np.array([0.55, -1.0, 0.5]) / np.linalg.norm([0.55, -1.0, 0.5])
+"""From the middle to the camera, where there is height."""
+_AIR = 1.12
+"""How much wider than the box the view is."""
+_RULER_COLOUR = (150, 155, 165)
 
 
 @dataclass
@@ -115,26 +120,43 @@ def light_up(server: viser.ViserServer) -> None:
 
 
 class Ruler:
-    """A grid with its lengths written along two sides, so that metres can be read off."""
+    """A grid with its lengths written along two sides, and a pole with heights, so that metres can be read off."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._labels: list[viser.LabelHandle] = []
-        self._grid: viser.GridHandle | None = None
+        self._pole: viser.LineSegmentsHandle | None = None
 
-    def show(self, low: np.ndarray, high: np.ndarray) -> None:
-        """Lay the grid under the box between two corners (3,)."""
-        cell = _round_length(float(np.max(high - low)[()]) / 8)
-        start, end = np.floor(low[:2] / cell) * cell, np.ceil(high[:2] / cell) * cell
-        ticks = [(float(x), start[1], f"{x:g} m") for x in np.arange(start[0], end[0] + cell / 2, cell)]
-        ticks += [(start[0], float(y), f"{y:g} m") for y in np.arange(start[1] + cell, end[1] + cell / 2, cell)]
-        z = float(low[2]) - 0.02 * cell
-        self._grid = self._server.scene.add_grid(
+    def show(self, floor: tuple[np.ndarray, np.ndarray], box: tuple[np.ndarray, np.ndarray]) -> None:
+        """Lay the grid on the floor, and a pole beside the box where that is not flat; both are corners (3,)."""
+        low, high = floor
+        cell = _round_length(float(np.max(high - low)) / 8)
+        start, end = np.floor(low[:2] / cell + 1e-6) * cell, np.ceil(high[:2] / cell - 1e-6) * cell
+        z = float(low[2]) + 0.004 * cell
+        ticks = [((float(x), start[1], z), f"{x:g} m") for x in _ticks(start[0], end[0], cell)]
+        ticks += [((start[0], float(y), z), f"{y:g} m") for y in _ticks(start[1], end[1], cell)[1:]]
+        self._server.scene.add_grid(
             "/ruler/grid", float(end[0] - start[0]), float(end[1] - start[1]), cell_size=cell, section_size=cell,
-            cell_color=(150, 155, 165), section_color=(150, 155, 165), cell_thickness=0.7, section_thickness=0.7,
+            cell_color=_RULER_COLOUR, section_color=_RULER_COLOUR, cell_thickness=0.7, section_thickness=0.7,
             shadow_opacity=0.0, fade_strength=0.0, position=(*((start + end) / 2), z),
         )  # fmt: skip
-        for i, (x, y, text) in enumerate(ticks):
+        heights = [] if is_flat(*box) else _ticks(cell, float(box[1][2] - z), cell)
+        ticks += [((start[0], end[1], z + float(h)), f"{h:g} m") for h in heights]
+        self._raise((float(start[0]), float(end[1]), z), float(heights[-1]) if len(heights) else 0.0)
+        self._write(ticks)
+
+    def _raise(self, foot: tuple[float, float, float], height: float) -> None:
+        if self._pole is not None:
+            self._pole.remove()
+            self._pole = None
+        if height > 0:
+            ends = np.array([[foot, (*foot[:2], foot[2] + height)]])
+            self._pole = self._server.scene.add_line_segments(
+                "/ruler/pole", ends, _RULER_COLOUR, thickness=1.5, thickness_units="screen"
+            )
+
+    def _write(self, ticks: list[tuple[tuple[float, float, float], str]]) -> None:
+        for i, (position, text) in enumerate(ticks):
             if i == len(self._labels):
                 self._labels.append(
                     self._server.scene.add_label(
@@ -142,24 +164,42 @@ class Ruler:
                     )
                 )
             label = self._labels[i]
-            label.text, label.position, label.visible = text, np.array((x, y, z)), True
+            label.text, label.position, label.visible = text, np.array(position), True
         for label in self._labels[len(ticks) :]:
             label.visible = False
 
 
-def camera(low: np.ndarray, high: np.ndarray, fov: float, aspect: float = 0.72) -> tuple[np.ndarray, np.ndarray]:
+def is_flat(low: np.ndarray, high: np.ndarray) -> bool:
+    """Tell whether a box between two corners (3,) is best seen from above."""
+    size = high - low
+    return bool(size[2] < 0.25 * min(size[0], size[1]))
+
+
+def camera(low: np.ndarray, high: np.ndarray, aspect: float = 0.72) -> tuple[np.ndarray, np.ndarray]:
     """Return position (3,) and target (3,) of a camera that frames the box: from above if flat, else from the side.
 
-    `fov` is the vertical one in radians; `aspect` is width / height of the free part of the page.
+    `aspect` is width / height of the free part of the page.
     """
-    centre, size = (low + high) / 2, np.maximum(high - low, 1e-3)
-    if size[2] < 0.25 * min(size[0], size[1]):
-        distance = max(size[1], size[0] / aspect) / 2 / math.tan(fov / 2) * 1.18
-        direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)])
-    else:
-        distance = float(np.linalg.norm(size)) / 2 / math.tan(fov / 2) / min(1.0, aspect)
-        direction = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])
-    return centre + distance * direction, centre
+    direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)]) if is_flat(low, high) else _OBLIQUE
+    right, up = screen_axes(direction)
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3) - (low + high) / 2
+    slope = math.tan(FIELD_OF_VIEW / 2) / _AIR
+    across, upward, nearer = corners @ right, corners @ up, corners @ direction
+    shift = (upward.max() + upward.min()) / 2
+    distance = np.max(nearer + np.maximum(np.abs(across) / (slope * aspect), np.abs(upward - shift) / slope))
+    target = (low + high) / 2 + shift * up
+    return target + max(float(distance), 1e-3) * direction, target
+
+
+def screen_axes(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what is right (3,) and up (3,) on the screen of a camera in this direction (3,) from its target."""
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([1.0, 0.0, 0.0])
+    return right, np.cross(direction, right)
+
+
+def _ticks(start: float, end: float, step: float) -> np.ndarray:
+    return np.round(np.arange(start, end + step / 2, step), 9)
 
 
 def _linear(colours: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """What is to be seen in the scene, and everything that drawing it needs, worked out once."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -10,12 +11,17 @@ from morph_core.run_folder import RunFolder, read_rollout
 from morph_core.task import Task
 from morph_core.tasks import make_task
 from studio.viewer.figure import Figure, smooth
-from studio.viewer.scene import GOAL_LIT, WALL_LIT
 
 FRAMES_PER_SECOND = 30
+GOAL_LIT = (20, 200, 90)
+WALL_LIT = (235, 90, 50)
+LIT_BY = {"button": ("pressed", (255, 214, 40))}
+"""A geom's name -> the milestone that lights it up, and its colour then."""
+_FIXED = ("goal", "wall", "table")
+"""How the names of what never moves begin."""
 _LINGER = 0.3
 """Seconds for which a contact stays lit."""
-_GHOST_THICKNESS = 0.85
+_GHOST_THICKNESS, _TRAIL_THICKNESS, _POPULATION_THICKNESS = 0.85, 0.42, 0.2
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,8 @@ class Shot:
     """The design that stands pale behind it."""
     trail: tuple[tuple[float, ...], ...] = ()
     """Earlier designs, paler still."""
+    population: bool = False
+    """Whether to show the designs that were explored in the episode's iteration, as thin rods."""
 
 
 @dataclass(frozen=True)
@@ -40,19 +48,25 @@ class Take:
 
     shot: Shot
     robot: Figure
-    """All that moves."""
+    objects: Figure
+    """All else that moves."""
     scenery: Figure
-    """Obstacles and goal."""
+    """Obstacles, table and goal."""
     ghost: Figure | None
     trail: Figure | None
+    population: Figure | None
     goal_touched: np.ndarray
     """(F,) bool."""
+    milestones: dict[str, np.ndarray]
+    """name -> (F,) bool."""
     contact: np.ndarray
-    """(F, 3) m, NaN where nothing is touched."""
+    """(F, C, 3) m, NaN where nothing is touched."""
     touched: np.ndarray
-    """(F,) int: the part of the scenery that is touched, -1 for none."""
+    """(F, n) bool: the parts of the scenery that are touched."""
     box: tuple[np.ndarray, np.ndarray]
     """m: corners (3,) of what the camera should frame."""
+    floor: tuple[np.ndarray, np.ndarray]
+    """m: corners (3,) of the level rectangle on which lengths are written."""
 
     @property
     def frames(self) -> int:
@@ -68,9 +82,28 @@ class Take:
         colours = self.scenery.colours.copy()
         if self.goal_touched[frame]:
             colours[[name.startswith("goal") for name in self.scenery.names]] = GOAL_LIT
-        if self.touched[frame] >= 0:
-            colours[self.touched[frame]] = WALL_LIT
+        colours[self.touched[frame]] = WALL_LIT
         return colours
+
+    def object_colours(self, frame: int) -> np.ndarray:
+        """Return the objects' colours (n, 3) uint8, lit up by the milestones that are reached."""
+        colours = self.objects.colours.copy()
+        for i, name in enumerate(self.objects.names):
+            milestone, light = LIT_BY.get(name, ("", GOAL_LIT))
+            if milestone in self.milestones and self.milestones[milestone][frame]:
+                colours[i] = light
+        return colours
+
+
+@dataclass(frozen=True)
+class _Episode:
+    """T steps of a recorded episode, T + 1 postures."""
+
+    qpos: np.ndarray  # (T + 1, nq)
+    success: np.ndarray  # (T,) bool
+    milestones: dict[str, np.ndarray]  # each (T,) bool
+    contact: np.ndarray  # (T, C, 3) m
+    population: np.ndarray  # (M, d)
 
 
 def make_take(shot: Shot) -> Take:
@@ -78,46 +111,64 @@ def make_take(shot: Shot) -> Take:
     task = make_task(shot.task, dict(shot.task_options))
     phi = np.array(shot.phi)
     model = task.scene(phi).compile()
-    start = _start(task, phi)
-    qpos, success, contact = start, np.zeros(1, bool), np.full((1, 3), np.nan)
     if shot.rollout:
-        episode = read_rollout(*shot.rollout)
-        qpos, success, contact = _episode(episode, model.nq)
-        phi = np.asarray(episode.get("phi", phi), float)
+        recorded = read_rollout(*shot.rollout)
+        phi = np.asarray(recorded.get("phi", phi), float)
         model = task.scene(phi).compile()
+        episode = _episode(recorded, model.nq, len(phi))
+    else:
+        nothing = np.zeros((0, len(phi)))
+        episode = _Episode(_start(task, phi), np.zeros(0, bool), {}, np.zeros((0, 1, 3)), nothing)
     factor = max(1, round(task.control_dt * FRAMES_PER_SECOND))
-    frames = smooth(model, _fill(model, qpos), factor)
-    whole = Figure.from_model(model, frames)
-    fixed = [name.startswith(("goal", "wall")) for name in whole.names]
-    scenery = whole.take([i for i, is_fixed in enumerate(fixed) if is_fixed])
-    robot = whole.take([i for i, is_fixed in enumerate(fixed) if not is_fixed])
-    ghost = _standing(task, shot.ghost) if shot.ghost else None
-    trail = [_standing(task, earlier) for earlier in shot.trail]
-    points, touched = _contacts(scenery, contact, factor, len(frames))
+    frames = smooth(model, _fill(model, episode.qpos), factor)
+    robot, objects, scenery = _split(Figure.from_model(model, frames), task.spec(phi).compile())
+    contact = _moving_contacts(episode.contact, factor, len(frames))
+    population = episode.population if shot.population else ()
     return Take(
         shot=shot,
         robot=robot,
+        objects=objects,
         scenery=scenery,
-        ghost=ghost.thinned(_GHOST_THICKNESS) if ghost else None,
-        trail=_joined(trail).thinned(_GHOST_THICKNESS / 2) if trail else None,
-        goal_touched=_touched_from(success, factor, len(frames)),
-        contact=points,
-        touched=touched,
-        box=_box(task, scenery),
+        ghost=_standing(task, [shot.ghost], _GHOST_THICKNESS) if shot.ghost else None,
+        trail=_standing(task, shot.trail, _TRAIL_THICKNESS),
+        population=_standing(task, population, _POPULATION_THICKNESS),
+        goal_touched=_from_their_end(episode.success, factor, len(frames)),
+        milestones={name: _from_their_end(m, factor, len(frames)) for name, m in episode.milestones.items()},
+        contact=contact,
+        touched=_touched(scenery, contact),
+        box=_box(task),
+        floor=_floor(task, scenery),
     )
 
 
-def _episode(episode: dict[str, np.ndarray], nq: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return qpos (T+1, nq), success (T,) and contact (T, 3) of a recorded episode, whatever else its file holds."""
-    qpos = np.atleast_2d(np.asarray(episode.get("qpos", np.zeros((0, nq))), float))
+def _split(whole: Figure, alone: mujoco.MjModel) -> tuple[Figure, Figure, Figure]:
+    """Return the robot, whose model is `alone`; what else moves; and what never moves."""
+    of_robot = {alone.body(i).name for i in range(1, alone.nbody)} | {alone.geom(i).name for i in range(alone.ngeom)}
+    fixed = [i for i, name in enumerate(whole.names) if name.startswith(_FIXED)]
+    robot = [i for i, name in enumerate(whole.names) if name in of_robot and i not in fixed]
+    objects = [i for i in range(len(whole)) if i not in fixed and i not in robot]
+    return whole.take(robot), whole.take(objects), whole.take(fixed)
+
+
+def _episode(recorded: dict[str, np.ndarray], nq: int, parameters: int) -> _Episode:
+    """Return a recorded episode, whatever else its file holds; ValueError if its arrays don't fit."""
+    qpos = np.atleast_2d(np.asarray(recorded.get("qpos", np.zeros((0, nq))), float))
     steps = len(qpos) - 1
     if steps < 0 or not np.isfinite(qpos).all():
         raise ValueError("the recorded episode holds no finite postures")
-    success = np.asarray(episode.get("success", np.zeros(steps, bool)), bool).reshape(-1)[:steps]
-    contact = np.asarray(episode.get("contact", np.full((steps, 3), np.nan)), float).reshape(-1, 3)[:steps]
-    if len(success) != steps or len(contact) != steps:
-        raise ValueError("the recorded episode's success and contact don't fit its postures")
-    return qpos, success, contact
+    success = np.asarray(recorded.get("success", np.zeros(steps)), bool).reshape(-1)
+    contact = np.asarray(recorded.get("contact", np.full((steps, 1, 3), np.nan)), float)
+    contact = contact.reshape(len(contact), -1, 3) if contact.size else contact.reshape(len(contact), 0, 3)
+    prefix = "milestones/"
+    milestones = {
+        name.removeprefix(prefix): np.asarray(reached, bool).reshape(-1)
+        for name, reached in recorded.items()
+        if name.startswith(prefix)
+    }
+    if any(len(array) != steps for array in (success, contact, *milestones.values())):
+        raise ValueError("the recorded episode's success, milestones and contact don't fit its postures")
+    population = np.asarray(recorded.get("population", np.zeros((0, parameters))), float).reshape(-1, parameters)
+    return _Episode(qpos, success, milestones, contact, population[np.isfinite(population).all(1)])
 
 
 def _start(task: Task, phi: np.ndarray) -> np.ndarray:
@@ -125,10 +176,13 @@ def _start(task: Task, phi: np.ndarray) -> np.ndarray:
     return task.qpos(task.reset(task.hw_phy(phi), 1, np.random.default_rng(0)))
 
 
-def _standing(task: Task, phi: tuple[float, ...]) -> Figure:
-    """Return the robot alone with design phi, in the start posture."""
-    model = task.spec(np.array(phi)).compile()
-    return Figure.from_model(model, _fill(model, _start(task, np.array(phi))))
+def _standing(task: Task, designs: Sequence[Sequence[float]] | np.ndarray, thickness: float = 1.0) -> Figure | None:
+    """Return the robot alone with each of the designs, in its start posture; None without any."""
+    figures = []
+    for phi in designs:
+        model = task.spec(np.array(phi)).compile()
+        figures.append(Figure.from_model(model, _fill(model, _start(task, np.array(phi)))))
+    return Figure.joined(figures).thinned(thickness) if figures else None
 
 
 def _fill(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
@@ -139,43 +193,56 @@ def _fill(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     return filled
 
 
-def _joined(figures: list[Figure]) -> Figure:
-    return Figure(
-        names=tuple(name for f in figures for name in f.names),
-        kinds=tuple(kind for f in figures for kind in f.kinds),
-        sizes=np.concatenate([f.sizes for f in figures]),
-        colours=np.concatenate([f.colours for f in figures]),
-        meshes=tuple(mesh for f in figures for mesh in f.meshes),
-        positions=np.concatenate([f.positions for f in figures], 1),
-        wxyz=np.concatenate([f.wxyz for f in figures], 1),
-    )
+def _from_their_end(reached: np.ndarray, factor: int, frames: int) -> np.ndarray:
+    """Return (F,) bool of steps (T,): what step t reaches is seen from its end on, until the next step ends."""
+    seen = np.zeros(frames, bool)
+    for t in np.flatnonzero(reached):
+        seen[(t + 1) * factor : (t + 2) * factor] = True
+    return seen
 
 
-def _touched_from(success: np.ndarray, factor: int, frames: int) -> np.ndarray:
-    """Return (F,) bool: what step t reaches is seen from its end on."""
-    touched = np.zeros(frames, bool)
-    for t in np.flatnonzero(success):
-        touched[(t + 1) * factor :] = True
+def _moving_contacts(contact: np.ndarray, factor: int, frames: int) -> np.ndarray:
+    """Return where (F, C, 3) is touched: moved along while a contact (T, C, 3) goes on, held for a moment after it."""
+    points = np.full((frames, *contact.shape[1:]), np.nan)
+    for t, c in np.argwhere(np.isfinite(contact).all(2)):
+        begin = (t + 1) * factor
+        points[begin : begin + 1 + math.ceil(_LINGER * FRAMES_PER_SECOND), c] = contact[t, c]
+        if t + 1 < len(contact) and np.isfinite(contact[t + 1, c]).all():
+            share = np.arange(factor)[:, None] / factor
+            points[begin : begin + factor, c] = (1 - share) * contact[t, c] + share * contact[t + 1, c]
+    return points
+
+
+def _touched(scenery: Figure, contact: np.ndarray) -> np.ndarray:
+    """Return (F, n) bool: which walls are nearest to the contacts (F, C, 3)."""
+    touched = np.zeros((len(contact), len(scenery)), bool)
+    walls = [i for i, name in enumerate(scenery.names) if name.startswith("wall")]
+    obstacles = scenery.take(walls)
+    for frame, c in np.argwhere(np.isfinite(contact).all(2)) if walls else ():
+        touched[frame, walls[obstacles.nearest(contact[frame, c])]] = True
     return touched
 
 
-def _contacts(scenery: Figure, contact: np.ndarray, factor: int, frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return where (F, 3) and which part of the scenery (F,) is touched, held for a moment after each contact."""
-    points, touched = np.full((frames, 3), np.nan), np.full(frames, -1)
-    walls = [i for i, name in enumerate(scenery.names) if name.startswith("wall")]
-    obstacles = scenery.take(walls)
-    for t in np.flatnonzero(np.isfinite(contact).all(1)):
-        shown = slice((t + 1) * factor, (t + 1) * factor + 1 + math.ceil(_LINGER * FRAMES_PER_SECOND))
-        points[shown] = contact[t]
-        if walls:
-            touched[shown] = walls[obstacles.nearest(contact[t])]
-    return points, touched
+def _box(task: Task) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners of what is always in sight: obstacles, goal, and the initial design where it starts.
+
+    Where objects are carried to the goal, also the room that the design needs there.
+    """
+    phi = task.design_space.initial
+    model = task.scene(phi).compile()
+    whole = Figure.from_model(model, _fill(model, _start(task, phi)))
+    robot, objects, scenery = _split(whole, task.spec(phi).compile())
+    around = scenery.take([i for i, name in enumerate(scenery.names) if not name.startswith("table")])
+    boxes = [figure.extent() for figure in (robot, objects, around) if len(figure)]
+    low, high = np.min([box[0] for box in boxes], 0), np.max([box[1] for box in boxes], 0)
+    if len(objects) and len(around):
+        high[2] = max(high[2], around.extent()[1][2] + robot.extent()[1][2] - objects.extent()[1][2])
+    return low, high
 
 
-def _box(task: Task, scenery: Figure) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of what is always in sight: the scenery, and the initial design in its start posture."""
-    initial = _standing(task, tuple(task.design_space.initial)).extent()
-    if not len(scenery):
-        return initial
-    around = scenery.extent()
-    return np.minimum(initial[0], around[0]), np.maximum(initial[1], around[1])
+def _floor(task: Task, scenery: Figure) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners of the table's top; without one, of the box's bottom."""
+    table = scenery.take([i for i, name in enumerate(scenery.names) if name.startswith("table")])
+    low, high = table.extent() if len(table) else _box(task)
+    level = high[2] if len(table) else low[2]
+    return np.array([*low[:2], level]), np.array([*high[:2], level])

@@ -48,10 +48,14 @@ class TimelinePanel:
             self.loop = gui.add_checkbox("loop", True)
             self.ghost = gui.add_checkbox("initial design as ghost", True)
             self.trail = gui.add_checkbox("earlier designs", False)
+            self.population = gui.add_checkbox(
+                "explored designs", False, hint="Some of the designs that this iteration's episodes were run with"
+            )
             self.inject = gui.add_button(
                 "Continue from this design", icon=viser.Icon.GIT_BRANCH,
                 hint="The running run takes this φ as its design from the next iteration on",
             )  # fmt: skip
+        self._choices = (self.follow, self.iteration, self.recorded, self.ghost, self.trail, self.population)
         self.follow.on_update(lambda event: on_choice() if event.client else None)
         self.iteration.on_update(lambda event: self._pick(event.client) if event.client else None)
         self.recorded.on_click(lambda event: self._jump(event.target.value))
@@ -61,6 +65,7 @@ class TimelinePanel:
         self.loop.on_update(lambda _: player.set_looping(self.loop.value))
         self.ghost.on_update(lambda _: on_choice())
         self.trail.on_update(lambda _: on_choice())
+        self.population.on_update(lambda _: on_choice())
         self.inject.on_click(lambda event: on_inject(self._chosen_phi, event.client))
 
     @property
@@ -82,7 +87,7 @@ class TimelinePanel:
         self._latest = history.iteration
         self._recorded = [e.iteration for e in history.evaluations if e.rollout]
         self.iteration.max = max(self._latest, 1)
-        for handle in (self.follow, self.iteration, self.recorded, self.ghost, self.trail):
+        for handle in self._choices:
             handle.visible = True
         if self.follow.value or self.iteration.value > self.iteration.max:
             self.iteration.value = min(self.shown_iteration, self.iteration.max)
@@ -92,7 +97,7 @@ class TimelinePanel:
     def clear(self, sentence: str) -> None:
         """Show no run."""
         self._history, self._recorded, self._latest = None, [], 0
-        for handle in (self.follow, self.iteration, self.recorded, self.ghost, self.trail, self.inject):
+        for handle in (*self._choices, self.inject):
             handle.visible = False
         self.what.content = wording.paragraph(wording.text(sentence))
 

@@ -1,11 +1,11 @@
 """The viewer: one page of panels round the scene. It shows runs, and asks for what people want by callbacks."""
 
-import contextlib
 import logging
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
 import viser
 
 from morph_core.history import History
@@ -215,9 +215,10 @@ class Viewer:
             self.steer.update(history, status)
             self.design.update(history, status)
             self.export.update(history)
-            self.traces.update(history)
             self.timeline.update(history, live=live)
-            self.player.show(self._shot(history))
+            shown, phi = self._shown_design(history)
+            self.traces.update(history, shown, phi)
+            self.player.show(self._shot(history, shown, phi))
 
     def _show_nothing(self, run_id: str | None) -> None:
         """Show the start panel, or why a run can't be shown."""
@@ -249,20 +250,24 @@ class Viewer:
             self.chooser.options = options
         self.chooser.value = chosen
 
-    def _shot(self, history: History) -> Shot:
-        shown = self.timeline.shown_iteration
-        with contextlib.suppress(ValueError):
-            shown, phi = history.design(str(shown))
-            initial = tuple(history.initial_phi.tolist())
-            return Shot(
-                task=history.record.task,
-                task_options=tuple(sorted(history.record.task_options.items())),
-                phi=tuple(phi.tolist()),
-                rollout=(history.folder, shown) if self.timeline.has_episode else None,
-                ghost=initial if self.timeline.ghost.value and (shown > 0 or self.timeline.has_episode) else None,
-                trail=tuple(self.timeline.earlier(history)),
-            )
-        return _preview(history.record.task, history.record.task_options)
+    def _shown_design(self, history: History) -> tuple[int, np.ndarray]:
+        """Return the iteration and phi (d,) that are to be seen."""
+        try:
+            return history.design(str(self.timeline.shown_iteration))
+        except ValueError:  # an iteration that a resume has just voided
+            return history.design("latest")
+
+    def _shot(self, history: History, shown: int, phi: np.ndarray) -> Shot:
+        initial = tuple(history.initial_phi.tolist())
+        return Shot(
+            task=history.record.task,
+            task_options=tuple(sorted(history.record.task_options.items())),
+            phi=tuple(phi.tolist()),
+            rollout=(history.folder, shown) if self.timeline.has_episode else None,
+            ghost=initial if self.timeline.ghost.value and (shown > 0 or self.timeline.has_episode) else None,
+            trail=tuple(self.timeline.earlier(history)),
+            population=self.timeline.population.value,
+        )
 
     def _settle_pending(self) -> None:
         """Forget commands that were answered, and those nobody will answer any more."""

@@ -10,7 +10,7 @@ import viser
 from morph_core.tasks import make_task
 from studio.viewer import shapes
 from studio.viewer.figure import Figure, smooth
-from studio.viewer.scene import Layer, camera
+from studio.viewer.scene import FIELD_OF_VIEW, Layer, camera
 
 MIXED = """
 <mujoco>
@@ -179,8 +179,8 @@ def test_painting_and_posing_change_only_what_they_name(server: viser.ViserServe
 
 def test_a_flat_scene_is_seen_from_above_and_whole() -> None:
     low, high = np.array([-8.0, -1.0, -0.1]), np.array([4.0, 10.0, 0.1])
-    fov, aspect = 0.7, 0.75
-    position, target = camera(low, high, fov, aspect)
+    fov, aspect = FIELD_OF_VIEW, 0.75
+    position, target = camera(low, high, aspect)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, [0, 0, 1])
     right /= np.linalg.norm(right)

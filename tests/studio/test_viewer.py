@@ -37,8 +37,8 @@ from morph_core.protocol import (
 from morph_core.run_folder import EventLog, RunFolder, write_rollout
 from morph_core.tasks import make_task
 from studio.viewer import StartRequest, Viewer
+from studio.viewer.charts import MOST_POINTS, decimate
 from studio.viewer.take import Shot, Take, make_take
-from studio.viewer.traces import MOST_POINTS, decimate
 from studio.viewer.viewer import NEW_RUN
 
 NAME = "20260101-000000-reacher-morph-s0"
@@ -517,7 +517,7 @@ def test_a_wall_lights_up_where_it_is_hit_and_the_goal_when_it_is_touched(episod
     assert lit[0] == lit[5] == set()
     assert lit[6] == {"wall_upper_1"}
     assert lit[-1] == {"goal", "wall_upper_1"}
-    np.testing.assert_allclose(take.contact[6], [2.4, 4.7, 0.0])
+    np.testing.assert_allclose(take.contact[6], [[2.4, 4.7, 0.0]])
     assert np.isnan(take.contact[5]).all()
 
 
