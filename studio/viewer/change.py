@@ -27,7 +27,7 @@ def change_table(history: History, phi: np.ndarray) -> str:
         rows.append(f'<tr><td style="white-space:nowrap">{swatch} {wording.text(part)}</td>{cells}</tr>')
     several = len(quantities) > 1
     return wording.paragraph(
-        '<table style="width:100%;border-collapse:collapse;line-height:1.25;font-variant-numeric:tabular-nums">'
+        '<table style="width:97%;border-collapse:collapse;line-height:1.25;font-variant-numeric:tabular-nums">'
         f"{f'<tr><td></td>{heading}</tr>' if several else ''}{''.join(rows)}</table>"
     )
 

@@ -9,7 +9,12 @@ from morph_core.design import DesignSpace
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, Lock, Parameter, SetBound, Status, Unlock
 from studio.viewer import wording
+from studio.viewer.change import change_table
+from studio.viewer.parts import unit_of
 from studio.viewer.run import ENDED, Send
+
+_MOST_OPEN = 5
+"""Rows that are shown in full at first; more are folded, each with its value in its heading."""
 
 
 @dataclass
@@ -34,6 +39,7 @@ class DesignPanel:
         self._phi = np.zeros(0)
         self._form: viser.GuiFormHandle | None = None
         self.rows: dict[str, _Row] = {}
+        self.change = gui.add_html("", visible=False)
         self.note = gui.add_html(wording.paragraph(wording.dim("no data yet: press Start")))
         self.holder = gui.add_folder("Bounds and locks", visible=False)
         self._buttons: tuple[viser.GuiButtonHandle, ...] = ()
@@ -41,7 +47,7 @@ class DesignPanel:
     def clear(self) -> None:
         """Show no run."""
         self.note.content = wording.paragraph(wording.dim("no data yet: press Start"))
-        self.holder.visible = False
+        self.holder.visible = self.change.visible = False
 
     def update(self, history: History, status: Status) -> None:
         """Show a run's present design; inputs that somebody is editing stay as they are."""
@@ -49,7 +55,9 @@ class DesignPanel:
         if tuple(space.names) != self._names:
             self._build(space)
         self._space, self._phi = space, phi
-        self.holder.visible = True
+        self.holder.visible = self.change.visible = True
+        self.change.content = wording.paragraph("<b>Present design φ, against the initial one</b>")
+        self.change.content += change_table(history, phi)
         live = status not in ENDED
         self.note.content = wording.paragraph(
             wording.dim(
@@ -63,7 +71,7 @@ class DesignPanel:
         for p, value, initial in zip(space.parameters, phi, history.initial_phi, strict=True):
             row = self.rows[p.name]
             lock = ", locked" if p.locked_at is not None else ""
-            row.folder.label = f"{p.name}: {value:.3f} {p.unit}{lock} (initially {initial:.3g} {p.unit})"
+            row.folder.label = f"{p.name}: {_in_words(p, value)}{lock} (initially {_in_words(p, initial)})"
             if p != row.shown:
                 self._fill(row, p)
 
@@ -78,6 +86,7 @@ class DesignPanel:
             if p.locked_at is not None and not row.locked.value:
                 commands.append(Unlock(p.name))
                 space = space.without_lock(p.name)
+            lo, hi = (_unrounded(p, value, (p.lo, p.hi, p.hard_lo, p.hard_hi)) for value in (lo, hi))
             if (lo, hi) != (p.lo, p.hi):
                 commands.append(SetBound(p.name, lo, hi))
                 space = space.with_bound(p.name, lo, hi)
@@ -94,7 +103,8 @@ class DesignPanel:
         with self.holder:
             self._form = gui.add_form(None)
             with self._form:
-                self.rows = {p.name: self._row(p) for p in space.parameters}
+                expand = len(space) <= _MOST_OPEN
+                self.rows = {p.name: self._row(p, expand) for p in space.parameters}
                 apply = gui.add_button("Apply", icon=viser.Icon.CHECK, color="green")
                 reset = gui.add_button("Discard edits", icon=viser.Icon.ARROW_BACK_UP)
         form = self._form
@@ -104,17 +114,18 @@ class DesignPanel:
         reset.on_click(lambda _: self._discard())
         self._names = tuple(space.names)
 
-    def _row(self, p: Parameter) -> _Row:
+    def _row(self, p: Parameter, expand: bool) -> _Row:
         gui = self._gui
         unit = f" [{p.unit}]" if p.unit else ""
-        with gui.add_folder(p.name, expand_by_default=True) as folder:
+        step = _step(p)
+        with gui.add_folder(p.name, expand_by_default=expand) as folder:
             bounds = gui.add_vector2(
-                f"bounds{unit}", (p.lo, p.hi), min=(p.hard_lo, p.hard_lo), max=(p.hard_hi, p.hard_hi), step=0.01,
+                f"bounds{unit}", (p.lo, p.hi), min=(p.hard_lo, p.hard_lo), max=(p.hard_hi, p.hard_hi), step=step,
                 hint=f"lowest and highest allowed value, inside {p.hard_lo:g} to {p.hard_hi:g} {p.unit}",
             )  # fmt: skip
             locked = gui.add_checkbox("locked", p.locked_at is not None, hint="hold it at the value below")
             value = gui.add_number(
-                f"at{unit}", p.initial if p.locked_at is None else p.locked_at, min=p.hard_lo, max=p.hard_hi, step=0.01,
+                f"at{unit}", p.initial if p.locked_at is None else p.locked_at, min=p.hard_lo, max=p.hard_hi, step=step,
                 visible=p.locked_at is not None,
             )  # fmt: skip
             row = _Row(folder, bounds, locked, value, p)
@@ -139,3 +150,18 @@ class DesignPanel:
     def _discard(self) -> None:
         for row in self.rows.values():
             self._fill(row, row.shown)
+
+
+def _in_words(p: Parameter, value: float) -> str:
+    """Return "2.000 m" or "0.052 rad, 3.0°"."""
+    words = f"{value:.3f} {p.unit}".rstrip()
+    return f"{words}, {unit_of(p).words(value)}" if p.unit == "rad" else words
+
+
+def _step(p: Parameter) -> float:
+    return 0.01 if p.scale >= 0.5 else 0.001
+
+
+def _unrounded(p: Parameter, value: float, exact: tuple[float, ...]) -> float:
+    """Return the exact value that the browser shows rounded to the input's step, or `value` where there is none."""
+    return next((e for e in exact if abs(value - e) <= _step(p) / 2), value)

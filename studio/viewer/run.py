@@ -16,6 +16,7 @@ from morph_core.protocol import (
     Stop,
 )
 from studio.viewer import wording
+from studio.viewer.rules import rules_of
 
 ENDED: tuple[Status, ...] = ("stopped", "finished", "failed", "lost", "unreadable")
 RESUMABLE: tuple[Status, ...] = ("stopped", "failed", "lost")
@@ -45,7 +46,10 @@ class RunPanel:
             "run", tuple(_MORE), hint="Step: one iteration, then hold. Stop: save and end; it can be resumed."
         )
         self.log = gui.add_html("")
-        self._everything = (self.state, self.bar, self.numbers, self.pause, self.resume, self.more, self.log)
+        self.rules = gui.add_html("")
+        self._everything = (
+            self.state, self.bar, self.numbers, self.pause, self.resume, self.more, self.log, self.rules,
+        )  # fmt: skip
         self.pause.on_click(lambda event: self._send(lambda: [Pause()], event.client))
         self.resume.on_click(lambda event: self.go_on(event.client))
         self.more.on_click(lambda event: self.ask(event.target.value, event.client))
@@ -91,6 +95,8 @@ class RunPanel:
         self.numbers.content = self._numbers(history)
         self._enable(status)
         self.log.content = log_of(history, status, pending)
+        rules = "<br>".join(wording.text(line) for line in rules_of(history))
+        self.rules.content = wording.paragraph(wording.dim(rules))
 
     def show_message(self, status: Status, message: str) -> None:
         """Show a run that has no history to show."""
@@ -121,20 +127,14 @@ class RunPanel:
         progress: Progress | None = history.progress[-1] if history.progress else None
         if progress is None:
             return wording.paragraph(wording.dim("no iteration is done yet"))
-        rows = [("environment steps", wording.count(progress.env_steps))]
-        if history.evaluations:
-            last = history.evaluations[-1]
-            rows += [
-                (f"success on Hw-Phy (iteration {last.iteration}), sampled", wording.percent(last.sampled_success)),
-                ("deterministic", wording.percent(last.deterministic_success)),
+        return wording.rows(
+            [
+                *_of_hw_phy(history),
+                ("success while exploring", wording.percent(progress.success)),
+                ("environment steps", wording.count(progress.env_steps)),
+                *_costs(progress),
             ]
-        rows.append(("success while exploring", wording.percent(progress.success)))
-        cells = "".join(
-            f'<tr><td style="opacity:0.75;padding-right:0.8em">{wording.text(name)}</td>'
-            f'<td style="text-align:right;font-variant-numeric:tabular-nums">{wording.text(value)}</td></tr>'
-            for name, value in rows
         )
-        return wording.paragraph(f'<table style="width:100%;border-collapse:collapse">{cells}</table>')
 
     def _enable(self, status: Status) -> None:
         live = status not in ENDED
@@ -142,6 +142,30 @@ class RunPanel:
         self.pause.disabled = status == "pausing"
         self.resume.visible = status in ("paused", "pausing", *RESUMABLE)
         self.more.visible = live
+
+
+def _of_hw_phy(history: History) -> list[tuple[str, str]]:
+    """Return what the last evaluation found."""
+    if not history.evaluations:
+        return []
+    last = history.evaluations[-1]
+    failed = [("diverged in this evaluation", f"{last.truncations} episodes")] if last.truncations else []
+    return [
+        (f"success on Hw-Phy (iteration {last.iteration}), sampled", wording.percent(last.sampled_success)),
+        ("deterministic", wording.percent(last.deterministic_success)),
+        *((f"{name}, sampled", wording.percent(share)) for name, share in last.milestones.items()),
+        *failed,
+    ]
+
+
+def _costs(progress: Progress) -> list[tuple[str, str]]:
+    """Return what else was spent so far, and lost."""
+    costs = []
+    if progress.relabelled_steps:
+        costs.append(("steps for relabelling and search", wording.count(progress.relabelled_steps)))
+    if progress.truncations:
+        costs.append(("episodes left out: diverged", wording.count(progress.truncations)))
+    return costs
 
 
 def log_of(history: History, status: Status, pending: Sequence[AnyCommand]) -> str:

@@ -16,9 +16,9 @@ FIELD_OF_VIEW = math.radians(40)
 """Vertical."""
 _TILT = math.radians(16)
 """How far the camera leans from straight above, where everything lies in one plane."""
-_OBLIQUE = np.array([0.55, -1.0, 0.5]) / np.linalg.norm([0.55, -1.0, 0.5])
+OBLIQUE = np.array([0.55, -1.0, 0.5]) / np.linalg.norm([0.55, -1.0, 0.5])
 """From the middle to the camera, where there is height."""
-_AIR = 1.12
+_AIR = 1.06
 """How much wider than the box the view is."""
 _RULER_COLOUR = (150, 155, 165)
 
@@ -160,7 +160,7 @@ class Ruler:
             if i == len(self._labels):
                 self._labels.append(
                     self._server.scene.add_label(
-                        f"/ruler/{i}", text, font_screen_scale=0.65, anchor="center-center", depth_test=True
+                        f"/ruler/{i}", text, font_screen_scale=0.75, anchor="center-center", depth_test=True
                     )
                 )
             label = self._labels[i]
@@ -180,7 +180,7 @@ def camera(low: np.ndarray, high: np.ndarray, aspect: float = 0.72) -> tuple[np.
 
     `aspect` is width / height of the free part of the page.
     """
-    direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)]) if is_flat(low, high) else _OBLIQUE
+    direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)]) if is_flat(low, high) else OBLIQUE
     right, up = screen_axes(direction)
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3) - (low + high) / 2
     slope = math.tan(FIELD_OF_VIEW / 2) / _AIR

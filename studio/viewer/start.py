@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import viser
 
-from morph_core.config import Exploration, Method, Projection, check_field
+from morph_core.config import Method, Projection, config_from
+from morph_core.task import check_settings
 from morph_core.tasks import TASKS, make_task
 from studio.viewer import wording
 
@@ -44,7 +45,8 @@ class StartPanel:
         self._on_start = on_start
         self._on_preview = on_preview
         first = next(iter(TASKS))
-        config = make_task(first).config
+        task = make_task(first)
+        config = task.config
         self.folder = gui.add_folder("New run")
         with self.folder:
             self.notice = gui.add_html("", visible=False)
@@ -67,7 +69,7 @@ class StartPanel:
                 hint="What happens to the task's gradient where it conflicts with the hardware's.",
             )  # fmt: skip
             self.exploration = gui.add_dropdown(
-                "exploration", list(typing.get_args(Exploration)), initial_value=config.exploration,
+                "exploration", list(task.explorations), initial_value=config.exploration,
                 hint="How the hardware's output z is explored.",
             )  # fmt: skip
             self.start = gui.add_button("Start", color="green", icon=viser.Icon.PLAYER_PLAY)
@@ -91,8 +93,8 @@ class StartPanel:
 
     def request(self) -> StartRequest:
         """Return what the form says, or raise ValueError with a sentence that says what is allowed."""
-        task, method = self.task.value, self.method.value
-        make_task(task, self._task_options(task) if task in TASKS else None)
+        name, method = self.task.value, self.method.value
+        task = make_task(name, self._task_options(name) if name in TASKS else None)
         if method not in typing.get_args(Method):
             raise ValueError(f'unknown method "{method}"; choose from: {", ".join(typing.get_args(Method))}')
         settings: dict[str, object] = {
@@ -100,15 +102,14 @@ class StartPanel:
             "projection": self.projection.value,
             "exploration": self.exploration.value,
         }
-        for name, value in settings.items():
-            check_field(name, value)
+        check_settings(task, config_from(settings, task.config))
         return StartRequest(
-            task=task,
+            task=name,
             method=method,
             seed=_whole("seed", self.seed.value, 0, _LARGEST_SEED),
             iterations=_whole("iterations", self.iterations.value, 1, _MOST_ITERATIONS),
             settings=settings,
-            task_options=self._task_options(task),
+            task_options=self._task_options(name),
         )
 
     def submit(self, client: viser.ClientHandle | None) -> None:
@@ -163,7 +164,9 @@ class StartPanel:
         for task, handles in self.options.items():
             for handle in handles.values():
                 handle.visible = task == chosen
-        config = make_task(chosen).config
+        task = make_task(chosen)
+        config = task.config
+        self.exploration.options = list(task.explorations)
         self.alpha.value, self.projection.value = config.alpha, config.projection
         self.exploration.value, self.iterations.value = config.exploration, config.schedule_iterations
         self._on_preview()

@@ -94,10 +94,14 @@ def _traces_of(history: History) -> dict[int, Trace]:
 
 def _phi_trace(quantity: Quantity, single: bool) -> Trace:
     """Return the chart of one quantity of phi, in the colours that the parts have in the scene."""
+    parts = [entry.part.rpartition(" ") for entry in quantity.entries]
+    (kind, *others), numbers = {kind for kind, _, _ in parts}, tuple(_plain(number) for _, _, number in parts)
+    short = not single and not others and kind != ""  # several charts share the column: one line of legend each
+    title = f"Design φ: {_plain(quantity.name)}" + (f" by {_plain(kind)}" if short else "")
     return Trace(
-        title="Design φ" if single else f"Design φ: {_plain(quantity.name)}",
+        title="Design φ" if single else title,
         axis=f"φ [{_plain(quantity.unit.name)}]",
-        labels=tuple(_plain(entry.part) for entry in quantity.entries),
+        labels=numbers if short else tuple(_plain(entry.part) for entry in quantity.entries),
         curves=lambda history: _phis(history, quantity),
         colours=tuple(entry.colour for entry in quantity.entries),
     )

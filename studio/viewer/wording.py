@@ -70,6 +70,16 @@ def alert(sentence: str, colour: str = RED) -> str:
     )
 
 
+def rows(cells: list[tuple[str, str]]) -> str:
+    """Return names on the left and their values on the right, as HTML."""
+    lines = "".join(
+        f'<tr><td style="opacity:0.75;padding-right:0.8em">{text(name)}</td>'
+        f'<td style="text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums">{text(value)}</td></tr>'
+        for name, value in cells
+    )
+    return paragraph(f'<table style="width:97%;border-collapse:collapse">{lines}</table>')
+
+
 def duration(seconds: float | None) -> str:
     """Return 42 s, 3 min 05 s or 1 h 20 min."""
     if seconds is None or not math.isfinite(seconds) or seconds < 0:
