@@ -30,8 +30,7 @@ def evaluate(
         name: float(task.solved(reached & rollout.alive).sum() / episodes)
         for name, reached in rollout.milestones.items()
     }
-    returns = float(rollout.returns.mean()) if rollout.kept.any() else 0.0
-    return Score(float(rollout.successes.sum() / episodes), returns, milestones, rollout.truncations), rollout
+    return Score(rollout.success_rate, rollout.mean_return, milestones, rollout.truncations), rollout
 
 
 def record_episode(task: Task, rollout: Rollout, phi: np.ndarray, episode: int = 0) -> dict[str, np.ndarray]:

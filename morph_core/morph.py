@@ -34,6 +34,9 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
 
         world = explored_world(task, state, config, sigma)  # line 2
         rollout = run_trajectories(task, state, world, config)
+        if not rollout.holds_enough:
+            yield state.skip(iteration, rollout)
+            continue
 
         batch = make_batch(task, learner, rollout, config)  # line 3, Eq. 2
         pairs = relabel_on_hardware(rollout, hw_phy, config.proxy_pairs, state.rng)
@@ -63,8 +66,8 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
             iteration=iteration,
             env_steps=state.env_steps,
             phi=state.phi.tolist(),
-            episode_return=float(rollout.returns.mean()),
-            success=float(rollout.successes.mean()),
+            episode_return=rollout.mean_return,
+            success=rollout.success_rate,
             policy_std=learner.policy.mean_std,
             design_sigma=sigma if config.exploration == "design" else None,
             divergence=update.divergence,

@@ -46,9 +46,24 @@ class Rollout:
         return int((~self.kept).sum())
 
     @property
+    def holds_enough(self) -> bool:
+        """Whether there is something to learn from: what an episode counts is relative to the others."""
+        return bool(self.kept.sum() > 1)
+
+    @property
     def returns(self) -> np.ndarray:
         """(N,) undiscounted return of each episode."""
         return (self.reward * self.alive).sum(0)
+
+    @property
+    def mean_return(self) -> float:
+        """Of the episodes that are here; 0 if there are none."""
+        return float(self.returns.mean()) if self.kept.any() else 0.0
+
+    @property
+    def success_rate(self) -> float:
+        """Share of the episodes started that reached the goal."""
+        return float(self.successes.sum() / self.episodes)
 
 
 def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray) -> Rollout:

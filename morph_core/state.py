@@ -10,6 +10,7 @@ from torch import nn
 from morph_core.config import Config, Projection
 from morph_core.design import DesignSpace
 from morph_core.networks import Critic, Policy, Proxy
+from morph_core.protocol import Progress
 from morph_core.rollout import Rollout
 from morph_core.task import Task
 
@@ -76,6 +77,18 @@ class State:
         self.iteration = iteration
         self.env_steps += rollout.steps
         self.truncations += rollout.truncations
+
+    def skip(self, iteration: int, rollout: Rollout) -> Progress:
+        """Note an iteration that leaves nothing to learn from: almost every simulation diverged."""
+        self.advance(iteration, rollout)
+        return Progress(
+            iteration=iteration,
+            env_steps=self.env_steps,
+            phi=self.phi.tolist(),
+            episode_return=rollout.mean_return,
+            success=rollout.success_rate,
+            policy_std=self.learner.policy.mean_std,
+        )
 
 
 def start(task: Task, config: Config, seed: int, design_space: DesignSpace | None = None) -> State:

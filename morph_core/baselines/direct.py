@@ -20,6 +20,9 @@ def direct(task: Task, config: Config, state: State) -> Iterator[Progress]:
         designs = explore_designs(state, config.trajectories, sigma, config.design_correlation)
         hw_phy = task.hw_phy(designs)
         rollout = run_trajectories(task, state, hw_phy, config)
+        if not rollout.holds_enough:
+            yield state.skip(iteration, rollout)
+            continue
         improve_control(state, make_batch(task, learner, rollout, config), iteration, config)
         advantage = episode_advantage(rollout.returns, config)
         # E[A (phi_i - phi)], the natural gradient
@@ -30,8 +33,8 @@ def direct(task: Task, config: Config, state: State) -> Iterator[Progress]:
             iteration=iteration,
             env_steps=state.env_steps,
             phi=state.phi.tolist(),
-            episode_return=float(rollout.returns.mean()),
-            success=float(rollout.successes.mean()),
+            episode_return=rollout.mean_return,
+            success=rollout.success_rate,
             policy_std=learner.policy.mean_std,
             design_sigma=sigma,
         )

@@ -18,13 +18,16 @@ def no_hw_opt(task: Task, config: Config, state: State) -> Iterator[Progress]:
         set_learning_rates(learner, iteration, config)
         hw_phy = task.hw_phy(state.phi)
         rollout = run_trajectories(task, state, hw_phy, config)
+        if not rollout.holds_enough:
+            yield state.skip(iteration, rollout)
+            continue
         improve_control(state, make_batch(task, learner, rollout, config), iteration, config)
         state.advance(iteration, rollout)
         yield Progress(
             iteration=iteration,
             env_steps=state.env_steps,
             phi=state.phi.tolist(),
-            episode_return=float(rollout.returns.mean()),
-            success=float(rollout.successes.mean()),
+            episode_return=rollout.mean_return,
+            success=rollout.success_rate,
             policy_std=learner.policy.mean_std,
         )

@@ -56,7 +56,7 @@ def test_a_sweep_never_ends_in_a_wall_nor_passes_through_one(phi: np.ndarray, se
     for _ in range(15):
         step = task.step(arm, s, drift[None] + 0.5 * rng.standard_normal((1, LINKS)))
         assert float(task.walls.depth(*arm.outline(step.s[0, :LINKS]).T)) < 2 * TOLERANCE
-        assert np.isfinite(step.contact[0, 0]) == (np.abs(step.reward_terms["collision"][0]) > 0)
+        assert np.isfinite(step.contact[0, 0, 0]) == (np.abs(step.reward_terms["collision"][0]) > 0)
         s = step.s
 
 
@@ -69,7 +69,7 @@ def test_a_link_can_not_leap_through_a_wall() -> None:
     assert float(task.walls.depth(*arm.outline(s[0, :LINKS] + turn[0]).T)) < 0
     step = task.step(arm, s, turn / task.action_scale)
     assert abs(step.a[0, -1]) < abs(turn[0, -1])
-    assert step.contact[0, 0] >= task.walls.xs[0] - 1e-6
+    assert step.contact[0, 0, 0] >= task.walls.xs[0] - 1e-6
 
 
 @settings(max_examples=30)
