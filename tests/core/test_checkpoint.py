@@ -1,5 +1,7 @@
 """Checkpoints: whole or not at all, and never a surprise on load."""
 
+import dataclasses
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +36,30 @@ def test_a_checkpoint_brings_back_everything(saved: tuple[RunFolder, State]) -> 
     assert loaded.rng.bit_generator.state == state.rng.bit_generator.state
     again, expected = (next(METHODS["morph"](TASK, SMALL, s)) for s in (loaded, state))
     assert again == expected
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 3])
+def test_a_run_with_a_reference_goes_on_bit_for_bit(tmp_path: Path, iterations: int) -> None:
+    config = dataclasses.replace(SMALL, search="drift", design_interval=2, drift_designs=8)  # 2: right after a search
+    folder, state = make_run(tmp_path, config=config), start(TASK, config, 0)
+    for _ in itertools.islice(METHODS["morph"](TASK, config, state), iterations):
+        pass
+    state.truncations = 7
+    save_checkpoint(folder, state, 1.5)
+    loaded, _ = load_checkpoint(folder, iterations, TASK, config)
+    assert (loaded.relabelled_steps, loaded.truncations) == (state.relabelled_steps, 7)
+    again, expected = (list(itertools.islice(METHODS["morph"](TASK, config, s), 3)) for s in (loaded, state))
+    assert again == expected
+    for name, module in state.learner.modules.items():
+        assert all(torch.equal(loaded.learner.modules[name].state_dict()[k], v) for k, v in module.state_dict().items())
+
+
+def test_a_checkpoint_without_the_reference_that_the_search_needs_is_refused(
+    saved: tuple[RunFolder, State],
+) -> None:
+    folder, _ = saved
+    with pytest.raises(RunFolderError, match="can't be read"):
+        load_checkpoint(folder, 1, TASK, dataclasses.replace(SMALL, search="drift"))
 
 
 def test_saving_the_same_iteration_again_replaces_it(saved: tuple[RunFolder, State]) -> None:

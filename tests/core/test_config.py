@@ -30,7 +30,10 @@ def test_unknown_choice_lists_the_choices() -> None:
 @pytest.mark.parametrize(
     ("field", "value"),
     [("alpha", -1), ("gamma", 0), ("gamma", 1.5), ("trajectories", 0), ("trajectories", 7), ("epochs", 1.5),
-     ("alpha", "1"), ("alpha", True), ("z_sigma", 0.0), ("search_population", 3), ("proxy_prefit", -1)],
+     ("alpha", "1"), ("alpha", True), ("z_sigma", 0.0), ("search_population", 3), ("proxy_prefit", -1),
+     ("drift_designs", 6), ("drift_designs", 0), ("drift_ridge", -0.1), ("drift_limit", 0.0), ("proxy_pairs", -1),
+     ("utility", "rank"), ("search", "newton"), ("schedule_hold", 1.1), ("design_correlation", 1.1),
+     ("design_correlation", -0.1)],
 )  # fmt: skip
 def test_values_out_of_range_are_refused(field: str, value: object) -> None:
     with pytest.raises(ValueError, match=field):

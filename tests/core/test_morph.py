@@ -1,18 +1,22 @@
 """Algorithm 1 and its baselines as generators: what they yield, what they obey."""
 
+import copy
 import dataclasses
 import itertools
 
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
+from morph_core.checkpoint import all_finite
 from morph_core.config import Config
 from morph_core.objective import cosine_by_parameter, fit_proxy
 from morph_core.protocol import Progress
 from morph_core.state import State, start
 from morph_core.tasks import make_task
 from morph_core.train import METHODS
+from tests.core.conftest import Fragile
 
 TASK = make_task("reacher")
 
@@ -20,6 +24,10 @@ TASK = make_task("reacher")
 def run(method: str, config: Config, iterations: int, state: State | None = None, seed: int = 0) -> list[Progress]:
     state = state or start(TASK, config, seed)
     return list(itertools.islice(METHODS[method](TASK, config, state), iterations))
+
+
+def same_weights(first: nn.Module, second: nn.Module) -> bool:
+    return all(torch.equal(a, b) for a, b in zip(first.parameters(), second.parameters(), strict=True))
 
 
 @pytest.mark.parametrize("method", sorted(METHODS))
@@ -111,6 +119,48 @@ def test_the_cosine_of_a_parameter_is_that_along_what_it_moves() -> None:
     assert opposed[2] == pytest.approx(-1.0)
     assert cosine_by_parameter(arm, s, a, 0 * direction, direction) == [None] * 5
     assert cosine_by_parameter(lambda s, _: s, s, a, direction, direction) is None
+
+
+def test_by_drift_the_proxy_is_paired_with_a_reference_and_settles_after_each_search(small: Config) -> None:
+    config = dataclasses.replace(small, search="drift", design_interval=2, drift_designs=8)
+    state = start(TASK, config, 0)
+    iterations = METHODS["morph"](TASK, config, state)
+    assert next(iterations).search_cost is None
+    proxy, reference = state.learner.modules["proxy"], state.learner.modules["reference"]
+    assert not same_weights(proxy, reference)  # the task has drawn one of them
+    second = next(iterations)
+    assert second.search_cost is not None
+    assert second.phi != TASK.design_space.initial.tolist()
+    assert same_weights(proxy, reference)
+    taken = (config.drift_designs + 1) * config.search_pairs
+    assert state.relabelled_steps == state.env_steps + taken
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_a_method_learns_from_the_episodes_that_could_be_simulated(method: str, small: Config) -> None:
+    task, config = Fragile(), dataclasses.replace(small, trajectories=32, policy_std=1.0)
+    state = start(task, config, 0)
+    before = copy.deepcopy(state.learner.policy.state_dict())
+    progress = list(itertools.islice(METHODS[method](task, config, state), 4))
+    assert 0 < state.truncations < 4 * 32
+    assert all(np.isfinite(p.episode_return) for p in progress)
+    assert any(not torch.equal(before[name], weights) for name, weights in state.learner.policy.state_dict().items())
+    assert all_finite(state)
+
+
+@pytest.mark.parametrize("limit", [0.0, 0.06])
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_an_iteration_that_leaves_no_two_episodes_is_skipped(method: str, limit: float, small: Config) -> None:
+    task, config = Fragile(limit=limit), dataclasses.replace(small, proxy_prefit=0)
+    state = start(task, config, 0)
+    before = copy.deepcopy({name: module.state_dict() for name, module in state.learner.modules.items()})
+    progress = list(itertools.islice(METHODS[method](task, config, state), 3))
+    assert [p.iteration for p in progress] == [1, 2, 3]
+    assert state.truncations == 3 * config.trajectories
+    assert progress[-1].env_steps == state.env_steps >= state.truncations
+    assert [(p.success, p.episode_return, p.phi) for p in progress] == [(0.0, 0.0, state.phi.tolist())] * 3
+    for name, module in state.learner.modules.items():
+        assert all(torch.equal(before[name][key], value) for key, value in module.state_dict().items())
 
 
 def test_weights_come_from_the_seed_alone(small: Config) -> None:
