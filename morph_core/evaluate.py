@@ -1,6 +1,7 @@
 """`python -m morph_core.evaluate --run DIR`: success and return of a run's design and policy on Hw-Phy, as JSON."""
 
 import argparse
+import dataclasses
 import json
 import sys
 from pathlib import Path
@@ -32,7 +33,7 @@ def evaluate_run(folder: RunFolder, which: str, episodes: int, seed: int = 0) ->
     for name, sampled in (("sampled", True), ("deterministic", False)):
         rng = np.random.default_rng([seed, iteration])
         score, _ = evaluate(task, state.learner.policy, phi, episodes, rng, sampled)
-        scores[name] = {"success": score.success, "episode_return": score.episode_return}
+        scores[name] = dataclasses.asdict(score)
     return {
         "run": folder.id,
         "task": task.name,

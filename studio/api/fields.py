@@ -37,7 +37,15 @@ def fields_of(instance: typing.Any) -> list[Field]:
 
 @functools.cache
 def _docs(kind: type) -> dict[str, str]:
-    """Return the string that follows each annotated field in the source; Python itself does not keep it."""
+    """Return the string that follows each annotated field in the source, inherited ones too; Python keeps none."""
+    docs: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if dataclasses.is_dataclass(base):
+            docs |= _docs_in_source(base)
+    return docs
+
+
+def _docs_in_source(kind: type) -> dict[str, str]:
     try:
         (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     except (OSError, TypeError, SyntaxError):

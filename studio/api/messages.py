@@ -43,6 +43,10 @@ class TaskInfo(msgspec.Struct, frozen=True):
 
     name: str
     title: str
+    explorations: list[str]
+    """The ways of exploring z that it can be run with."""
+    z_unit: str
+    """Of the hardware's output, and so of the divergence; empty where each component is in its own typical unit."""
     options: list[Field]
     parameters: list[Parameter]
     config: list[Field]

@@ -14,10 +14,19 @@ from studio.preview import preview_svg
 def task_list() -> TaskList:
     """Describe all tasks and methods."""
     tasks = []
-    for name in sorted(TASKS):
+    for name in TASKS:  # in the order of the start panel: the page shows the first one
         task = make_task(name)
-        parameters = list(task.design_space.parameters)
-        tasks.append(TaskInfo(name, task.title, fields_of(task), parameters, fields_of(task.config)))
+        tasks.append(
+            TaskInfo(
+                name=name,
+                title=task.title,
+                explorations=list(task.explorations),
+                z_unit=task.z_unit,
+                options=fields_of(task),
+                parameters=list(task.design_space.parameters),
+                config=fields_of(task.config),
+            )
+        )
     return TaskList(tasks, list(typing.get_args(Method)))
 
 

@@ -68,9 +68,16 @@ def _print_result(result: dict) -> None:
     design = ", ".join(f"{name} {value:.3g}" for name, value in result["phi"].items())
     console.print(Text(f"{result['run']}, iteration {result['iteration']}: {design}"), soft_wrap=True)
     table = Table(box=None, pad_edge=False)
-    for heading in (f"policy, {result['episodes']} episodes", "success", "return"):
+    milestones, diverged = list(result["sampled"]["milestones"]), ["diverged"] * _any_diverged(result)
+    for heading in (f"policy, {result['episodes']} episodes", "success", *milestones, "return", *diverged):
         table.add_column(heading, justify="left" if heading.startswith("policy") else "right")
     for policy in ("sampled", "deterministic"):
         score = result[policy]
-        table.add_row(policy, f"{score['success']:.3f}", f"{score['episode_return']:.3f}")
+        shares = [f"{share:.3f}" for share in (score["success"], *score["milestones"].values())]
+        lost = [str(score["truncations"])] * len(diverged)
+        table.add_row(policy, *shares, f"{score['episode_return']:.3f}", *lost)
     console.print(table)
+
+
+def _any_diverged(result: dict) -> bool:
+    return any(result[policy]["truncations"] for policy in ("sampled", "deterministic"))

@@ -198,15 +198,17 @@ def _planned(history: History) -> int:
 
 
 def _in_short(history: History) -> str:
-    """Return success and return of the last evaluation, or else of the last iteration, and phi."""
+    """Return success, milestones and return of the last evaluation, or else of the last iteration, and phi."""
     if not history.progress:
         return ""
+    last = history.progress[-1]
+    success, gain, milestones = last.success, last.episode_return, {}
     if history.evaluations:
-        success, gain = history.evaluations[-1].sampled_success, history.evaluations[-1].sampled_return
-    else:
-        success, gain = history.progress[-1].success, history.progress[-1].episode_return
-    phi = " ".join(f"{value:.2f}" for value in history.phi)
-    return f"success {success:.2f}  return {gain:.2f}  phi {phi}"
+        score = history.evaluations[-1]
+        success, gain, milestones = score.sampled_success, score.sampled_return, score.milestones
+    words = [f"success {success:.2f}", *(f"{name} {share:.2f}" for name, share in milestones.items())]
+    words += [f"return {gain:.2f}", f"phi {' '.join(f'{value:.2f}' for value in history.phi)}"]
+    return "  ".join(words + [f"diverged {last.truncations}"] * (last.truncations > 0))
 
 
 def _eta(history: History) -> str:

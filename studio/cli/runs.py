@@ -44,7 +44,8 @@ def list_runs(folder: Path) -> list[dict[str, object]]:
         except RunFolderError:
             best = None
         line["best"] = best and {
-            "iteration": best.iteration, "success": best.sampled_success, "episode_return": best.sampled_return
+            "iteration": best.iteration, "success": best.sampled_success, "episode_return": best.sampled_return,
+            "milestones": best.milestones,
         }  # fmt: skip
         lines.append(line)
     return lines
