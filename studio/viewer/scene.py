@@ -3,6 +3,7 @@
 import math
 from collections import defaultdict
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import viser
@@ -18,8 +19,10 @@ _TILT = math.radians(16)
 """How far the camera leans from straight above, where everything lies in one plane."""
 OBLIQUE = np.array([0.55, -1.0, 0.5]) / np.linalg.norm([0.55, -1.0, 0.5])
 """From the middle to the camera, where there is height."""
-_AIR = 1.06
-"""How much wider than the box the view is."""
+_AIR, _AIR_ABOVE = 1.06, 1.18
+"""How much wider than the box the view is, from the side and from above: there, lengths are written round the box."""
+_MOST_LABELS = 8
+"""Along a side of the grid; with more lines, every second one has its length written at it."""
 _RULER_COLOUR = (150, 155, 165)
 
 
@@ -125,46 +128,38 @@ class Ruler:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._labels: list[viser.LabelHandle] = []
-        self._pole: viser.LineSegmentsHandle | None = None
 
     def show(self, floor: tuple[np.ndarray, np.ndarray], box: tuple[np.ndarray, np.ndarray]) -> None:
-        """Lay the grid on the floor, and a pole beside the box where that is not flat; both are corners (3,)."""
+        """Lay the grid on the floor, and put a pole beside the box where that is not flat; both are corners (3,)."""
         low, high = floor
-        cell = _round_length(float(np.max(high - low)) / 8)
+        cell = _round_length(float(np.max(high - low)) / 10)
         start, end = np.floor(low[:2] / cell + 1e-6) * cell, np.ceil(high[:2] / cell - 1e-6) * cell
         z = float(low[2]) + 0.004 * cell
-        ticks = [((float(x), start[1], z), f"{x:g} m") for x in _ticks(start[0], end[0], cell)]
-        ticks += [((start[0], float(y), z), f"{y:g} m") for y in _ticks(start[1], end[1], cell)[1:]]
-        self._server.scene.add_grid(
-            "/ruler/grid", float(end[0] - start[0]), float(end[1] - start[1]), cell_size=cell, section_size=cell,
-            cell_color=_RULER_COLOUR, section_color=_RULER_COLOUR, cell_thickness=0.7, section_thickness=0.7,
-            shadow_opacity=0.0, fade_strength=0.0, position=(*((start + end) / 2), z),
-        )  # fmt: skip
+        xs, ys = _ticks(start[0], end[0], cell), _ticks(start[1], end[1], cell)
         heights = [] if is_flat(*box) else _ticks(cell, float(box[1][2] - z), cell)
-        ticks += [((start[0], end[1], z + float(h)), f"{h:g} m") for h in heights]
-        self._raise((float(start[0]), float(end[1]), z), float(heights[-1]) if len(heights) else 0.0)
-        self._write(ticks)
+        lines = [((x, ys[0], z), (x, ys[-1], z)) for x in xs] + [((xs[0], y, z), (xs[-1], y, z)) for y in ys]
+        lines += [((xs[0], ys[-1], z), (xs[0], ys[-1], z + h)) for h in heights[-1:]]
+        self._server.scene.add_line_segments(
+            "/ruler/lines", np.array(lines, np.float32), _RULER_COLOUR, thickness=1.0, thickness_units="screen"
+        )
+        seldom = 2 * cell if len(xs) > _MOST_LABELS else cell
+        ticks = [((x, ys[0], z), f"{x:g} m") for x in _multiples(xs, seldom)]
+        ticks += [((xs[0], y, z), f"{y:g} m") for y in _multiples(ys[1:], seldom)]
+        ticks += [((xs[0], ys[-1], z + h), f"{h:g} m") for h in heights]
+        self._write(ticks, "center-center" if is_flat(*box) else "bottom-center")
 
-    def _raise(self, foot: tuple[float, float, float], height: float) -> None:
-        if self._pole is not None:
-            self._pole.remove()
-            self._pole = None
-        if height > 0:
-            ends = np.array([[foot, (*foot[:2], foot[2] + height)]])
-            self._pole = self._server.scene.add_line_segments(
-                "/ruler/pole", ends, _RULER_COLOUR, thickness=1.5, thickness_units="screen"
-            )
-
-    def _write(self, ticks: list[tuple[tuple[float, float, float], str]]) -> None:
+    def _write(
+        self,
+        ticks: list[tuple[tuple[float, float, float], str]],
+        anchor: Literal["center-center", "bottom-center"],
+    ) -> None:
         for i, (position, text) in enumerate(ticks):
             if i == len(self._labels):
                 self._labels.append(
-                    self._server.scene.add_label(
-                        f"/ruler/{i}", text, font_screen_scale=0.75, anchor="center-center", depth_test=True
-                    )
+                    self._server.scene.add_label(f"/ruler/{i}", text, font_screen_scale=0.75, depth_test=True)
                 )
             label = self._labels[i]
-            label.text, label.position, label.visible = text, np.array(position), True
+            label.text, label.position, label.visible, label.anchor = text, np.array(position), True, anchor
         for label in self._labels[len(ticks) :]:
             label.visible = False
 
@@ -180,10 +175,11 @@ def camera(low: np.ndarray, high: np.ndarray, aspect: float = 0.72) -> tuple[np.
 
     `aspect` is width / height of the free part of the page.
     """
-    direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)]) if is_flat(low, high) else OBLIQUE
+    flat = is_flat(low, high)
+    direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)]) if flat else OBLIQUE
     right, up = screen_axes(direction)
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3) - (low + high) / 2
-    slope = math.tan(FIELD_OF_VIEW / 2) / _AIR
+    slope = math.tan(FIELD_OF_VIEW / 2) / (_AIR_ABOVE if flat else _AIR)
     across, upward, nearer = corners @ right, corners @ up, corners @ direction
     shift = (upward.max() + upward.min()) / 2
     distance = np.max(nearer + np.maximum(np.abs(across) / (slope * aspect), np.abs(upward - shift) / slope))
@@ -198,8 +194,12 @@ def screen_axes(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return right, np.cross(direction, right)
 
 
-def _ticks(start: float, end: float, step: float) -> np.ndarray:
-    return np.round(np.arange(start, end + step / 2, step), 9)
+def _ticks(start: float, end: float, step: float) -> list[float]:
+    return np.round(np.arange(start, end + step / 2, step), 9).tolist()
+
+
+def _multiples(values: list[float], step: float) -> list[float]:
+    return [value for value in values if abs(value / step - round(value / step)) < 1e-6]
 
 
 def _linear(colours: np.ndarray) -> np.ndarray:

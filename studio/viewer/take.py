@@ -12,6 +12,9 @@ from morph_core.task import Task
 from morph_core.tasks import make_task
 from studio.viewer.figure import Figure, smooth
 
+Corners = tuple[np.ndarray, np.ndarray]
+"""The lowest (3,) and the highest one (3,) of a box, m."""
+
 FRAMES_PER_SECOND = 30
 GOAL_LIT = (20, 200, 90)
 WALL_LIT = (235, 90, 50)
@@ -21,6 +24,8 @@ _FIXED = ("goal", "wall", "table")
 """How the names of what never moves begin."""
 _LINGER = 0.3
 """Seconds for which a contact stays lit."""
+_TABLE_MARGIN = 0.15
+"""How much of a table is in sight beside what stands on it, as a share of that."""
 _GHOST_THICKNESS, _TRAIL_THICKNESS, _POPULATION_THICKNESS = 0.85, 0.42, 0.2
 
 
@@ -63,10 +68,10 @@ class Take:
     """(F, C, 3) m, NaN where nothing is touched."""
     touched: np.ndarray
     """(F, n) bool: the parts of the scenery that are touched."""
-    box: tuple[np.ndarray, np.ndarray]
-    """m: corners (3,) of what the camera should frame."""
-    floor: tuple[np.ndarray, np.ndarray]
-    """m: corners (3,) of the level rectangle on which lengths are written."""
+    box: Corners
+    """What the camera should frame."""
+    floor: Corners
+    """The level rectangle on which lengths are written."""
 
     @property
     def frames(self) -> int:
@@ -123,6 +128,7 @@ def make_take(shot: Shot) -> Take:
     frames = smooth(model, _fill(model, episode.qpos), factor)
     robot, objects, scenery = _split(Figure.from_model(model, frames), task.spec(phi).compile())
     contact = _moving_contacts(episode.contact, factor, len(frames))
+    box, floor = _frame(task)
     population = episode.population if shot.population else ()
     return Take(
         shot=shot,
@@ -136,8 +142,8 @@ def make_take(shot: Shot) -> Take:
         milestones={name: _from_their_end(m, factor, len(frames)) for name, m in episode.milestones.items()},
         contact=contact,
         touched=_touched(scenery, contact),
-        box=_box(task),
-        floor=_floor(task, scenery),
+        box=box,
+        floor=floor,
     )
 
 
@@ -223,26 +229,26 @@ def _touched(scenery: Figure, contact: np.ndarray) -> np.ndarray:
     return touched
 
 
-def _box(task: Task) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of what is always in sight: obstacles, goal, and the initial design where it starts.
+def _frame(task: Task) -> tuple[Corners, Corners]:
+    """Return what is always in sight, and the floor below it.
 
-    Where objects are carried to the goal, also the room that the design needs there.
+    In sight are obstacles, goal and the initial design where it starts; where objects are carried to the goal, also
+    the room that the design needs there.
     """
     phi = task.design_space.initial
     model = task.scene(phi).compile()
     whole = Figure.from_model(model, _fill(model, _start(task, phi)))
     robot, objects, scenery = _split(whole, task.spec(phi).compile())
-    around = scenery.take([i for i, name in enumerate(scenery.names) if not name.startswith("table")])
+    on_table = [name.startswith("table") for name in scenery.names]
+    table, around = scenery.take(np.flatnonzero(on_table)), scenery.take(np.flatnonzero(np.logical_not(on_table)))
     boxes = [figure.extent() for figure in (robot, objects, around) if len(figure)]
     low, high = np.min([box[0] for box in boxes], 0), np.max([box[1] for box in boxes], 0)
     if len(objects) and len(around):
         high[2] = max(high[2], around.extent()[1][2] + robot.extent()[1][2] - objects.extent()[1][2])
-    return low, high
-
-
-def _floor(task: Task, scenery: Figure) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of the table's top; without one, of the box's bottom."""
-    table = scenery.take([i for i, name in enumerate(scenery.names) if name.startswith("table")])
-    low, high = table.extent() if len(table) else _box(task)
-    level = high[2] if len(table) else low[2]
-    return np.array([*low[:2], level]), np.array([*high[:2], level])
+    if not len(table):
+        return (low, high), (low, np.array([*high[:2], low[2]]))
+    edge_low, edge_high = table.extent()
+    margin = _TABLE_MARGIN * (high - low)[:2]
+    low[:2], high[:2] = np.maximum(low[:2] - margin, edge_low[:2]), np.minimum(high[:2] + margin, edge_high[:2])
+    level = edge_high[2:]
+    return (low, high), (np.concatenate([low[:2], level]), np.concatenate([high[:2], level]))
