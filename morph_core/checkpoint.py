@@ -33,6 +33,8 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
             "env_steps": state.env_steps,
             "relabelled_steps": state.relabelled_steps,
             "truncations": state.truncations,
+            "control_start": state.control_start,
+            "last_reached": state.last_reached,
             "phi": state.phi.tolist(),
             "parameters": msgspec.to_builtins(state.design_space.parameters),
             "alpha": state.alpha,
@@ -76,6 +78,7 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, config: Confi
         state = start(task, config, 0, space)
         state.iteration, state.env_steps = facts["iteration"], facts["env_steps"]
         state.relabelled_steps, state.truncations = facts["relabelled_steps"], facts["truncations"]
+        state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]
         state.phi = space.check(facts["phi"])
         state.alpha, state.projection, state.fitted = facts["alpha"], facts["projection"], facts["fitted"]
         state.rng.bit_generator.state = facts["rng"]

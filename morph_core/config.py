@@ -80,6 +80,9 @@ class Config:
     """Standardised returns beyond this are clipped."""
     design_correlation: float = 0.0
     """Share of the variance of the explored designs that the parameters of a group have in common."""
+    restart_interval: int = 0
+    """Iterations without reaching some milestone of the task after which policy and critic start afresh, phi stays:
+    a policy can have learnt to avoid what a better design could do. 0: never."""
     design_sigma: float = 1.2
     """Sigma of the designs drawn around phi at the start, in units of each parameter's scale."""
     design_sigma_end: float = 0.2
@@ -95,6 +98,9 @@ class Config:
     """Generations of CMA-ES per search."""
     search_sigma: float = 0.1
     """sigma0 of CMA-ES in units of each parameter's scale."""
+    drift_clip: float = 0.0
+    """Differences between two designs' z count up to this, in units of z: what is larger is a state of one design in
+    which the other touches or penetrates something. 0: no limit."""
     drift_designs: int = 24
     """Designs, in antithetic pairs, over which `search=drift` averages dz/dphi; a multiple of 4."""
     drift_ridge: float = 0.2
@@ -117,6 +123,7 @@ _AT_LEAST_ONE = {
 }  # fmt: skip
 _MAY_BE_ZERO = {
     "alpha", "entropy_coef", "proxy_prefit", "kappa", "direct_step", "proxy_pairs", "schedule_hold",
+    "restart_interval", "drift_clip",
     "design_correlation", "drift_ridge",
 }  # fmt: skip
 _SHARES = {"schedule_hold", "design_correlation"}

@@ -11,13 +11,14 @@ with warnings.catch_warnings():
 
 from morph_core.config import Config
 from morph_core.design import DesignSpace
+from morph_core.exploration import clip_drift, design_noise
 from morph_core.rollout import Rollout
 from morph_core.state import Learner
 from morph_core.task import Task
 
 GRADIENT_STEPS = 200
-_LARGEST_CHANGE = 4.0
-"""Of z between two designs, in units of z: beyond it, contact was gained or lost."""
+_SMALLEST_CHANGE = 1e-3
+"""Of z between two designs, in units of z: keeps a component that nothing changes from being divided by 0."""
 
 
 @dataclass(frozen=True)
@@ -108,28 +109,39 @@ def _by_drift(
 ) -> np.ndarray:
     """Least squares of the drift on dz/dphi, averaged over the explored designs: contact leaves nothing to a point's.
 
+    Everything is in units of the explored designs' spread, in which the ridge prefers the directions they vary in.
     The product of two independent halves of the average is free of the noise that would bias its square.
     """
     if dataset.drift is None:
         raise ValueError("search=drift needs the proxy's reference")
-    unit = (sigma * space.scale)[space.free]
-    d, pairs = len(unit), config.drift_designs // 2
-    noise = rng.standard_normal((pairs, d))
-    designs = np.tile(start, (2 * pairs, 1))
-    designs[:, space.free] += unit * np.concatenate([noise, -noise])
-    z = physics.z(dataset.s, dataset.a, space.clip(designs))
-    change = np.nan_to_num((z[:pairs] - z[pairs:]) / 2).reshape(pairs, -1)
-    change = np.clip(change, -_LARGEST_CHANGE, _LARGEST_CHANGE)
-    first, second = (change[half::2].T @ noise[half::2] / len(noise[half::2]) for half in (0, 1))  # (n z_size, d)
+    noise = design_noise(space, config.drift_designs // 2, config.design_correlation, rng)
+    spread = sigma * space.scale * noise
+    z = physics.z(dataset.s, dataset.a, space.clip(start + np.concatenate([spread, -spread])))
+    change = clip_drift(np.nan_to_num(z[: len(noise)] - z[len(noise) :]) / 2, config)  # (P, n, z_size)
+    unit = np.sqrt((change**2).mean((0, 1))) + _SMALLEST_CHANGE  # contact shakes some components more than others
+    drift = clip_drift(dataset.drift, config) / unit
+    change = (change / unit).reshape(len(noise), -1)
+    free = space.free
+    whiten = np.linalg.cholesky(_correlations(space, config.design_correlation)[np.ix_(free, free)])
+    white = np.linalg.solve(whiten, noise[:, free].T).T
+    first, second = (change[half::2].T @ white[half::2] / len(white[half::2]) for half in (0, 1))  # (n z_size, f)
     curvature = (first.T @ second + second.T @ first) / 2
-    pull = (first + second).T @ dataset.drift.ravel() / 2
-    mean_curvature = (np.sum(first**2) + np.sum(second**2)) / (2 * d)
+    pull = (first + second).T @ drift.ravel() / 2
+    ridge = config.drift_ridge * (np.sum(first**2) + np.sum(second**2)) / (2 * free.sum())
     values, vectors = np.linalg.eigh(curvature)
-    step = vectors @ ((vectors.T @ pull) / np.maximum(values, config.drift_ridge * mean_curvature + 1e-12))
+    step = vectors @ ((vectors.T @ pull) / np.maximum(values, ridge + 1e-12))
     step *= min(1.0, config.drift_limit / (np.linalg.norm(step) + 1e-12))
     found = start.copy()
-    found[space.free] += unit * step
+    found[free] += (sigma * space.scale)[free] * (whiten @ step)
     return space.clip(found)
+
+
+def _correlations(space: DesignSpace, correlation: float) -> np.ndarray:
+    """Return the correlations (d, d) of `design_noise`."""
+    matrix = np.eye(len(space))
+    for group in space.groups:
+        matrix[np.ix_(group, group)] += correlation * (1 - np.eye(group.sum()))
+    return matrix
 
 
 def _by_cma(

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from morph_core.config import Config
+from morph_core.design import DesignSpace
 from morph_core.networks import Proxy, log_normal
 from morph_core.rollout import Rollout, collect
 from morph_core.state import State
@@ -28,16 +29,19 @@ def design_sigma(iteration: int, config: Config) -> float:
     return annealed(config.design_sigma, config.design_sigma_end, iteration, config, config.schedule_hold)
 
 
-def explore_designs(state: State, count: int, sigma: float, correlation: float = 0.0) -> np.ndarray:
-    """Return designs (N, d) around phi: antithetic pairs, inside the box, locked entries kept.
-
-    The parameters of a group have the share `correlation` of their variance in common.
-    """
-    space = state.design_space
-    half = state.rng.standard_normal((count // 2, len(state.phi)))
+def design_noise(space: DesignSpace, count: int, correlation: float, rng: np.random.Generator) -> np.ndarray:
+    """Return standard normal noise (count, d); the parameters of a group have the share `correlation` in common."""
+    noise = rng.standard_normal((count, len(space)))
     for group in space.groups if correlation else []:
-        common = state.rng.standard_normal((len(half), 1))
-        half[:, group] = np.sqrt(1 - correlation) * half[:, group] + np.sqrt(correlation) * common
+        common = rng.standard_normal((count, 1))
+        noise[:, group] = np.sqrt(1 - correlation) * noise[:, group] + np.sqrt(correlation) * common
+    return noise
+
+
+def explore_designs(state: State, count: int, sigma: float, correlation: float = 0.0) -> np.ndarray:
+    """Return designs (N, d) around phi: antithetic pairs, inside the box, locked entries kept."""
+    space = state.design_space
+    half = design_noise(space, count // 2, correlation, state.rng)
     state.explored = space.clip(state.phi + sigma * space.scale * np.concatenate([half, -half]))
     return state.explored
 
@@ -81,6 +85,11 @@ def relabel_on_hardware(rollout: Rollout, hw_phy: Hardware, pairs: int, rng: np.
     return Relabelled(row[sound], at[1], rollout.s[at], rollout.a[at], rollout.z[at], z_phi[sound], len(row))
 
 
+def clip_drift(drift: np.ndarray, config: Config) -> np.ndarray:
+    """Return differences of z, each limited to what contact leaves comparable."""
+    return np.clip(drift, -config.drift_clip, config.drift_clip) if config.drift_clip else drift
+
+
 def linearised_pull(rollout: Rollout, pairs: Relabelled, config: Config) -> Pull:
     """The pull of exploration `design`, linearised at F_phi.
 
@@ -89,7 +98,7 @@ def linearised_pull(rollout: Rollout, pairs: Relabelled, config: Config) -> Pull
     eta = kappa / (2 alpha sigma_z^2). The plain score A log h is unbounded for negative A and diverges.
     """
     advantage = episode_advantage(rollout.returns, config)[pairs.episode]
-    slope = -config.kappa / config.z_sigma**2 * advantage[:, None] * (pairs.z - pairs.z_phi)
+    slope = -config.kappa / config.z_sigma**2 * advantage[:, None] * clip_drift(pairs.z - pairs.z_phi, config)
     gradient = torch.from_numpy(slope.astype(np.float32))
     return lambda m, index: gradient[index] / len(m)
 

@@ -15,7 +15,14 @@ from morph_core.exploration import (
     relabel_on_hardware,
     run_trajectories,
 )
-from morph_core.objective import fit_proxy, improve_control, improve_proxy, make_batch, set_learning_rates
+from morph_core.objective import (
+    fit_proxy,
+    improve_control,
+    improve_proxy,
+    make_batch,
+    restart_control,
+    set_learning_rates,
+)
 from morph_core.protocol import Progress
 from morph_core.state import State
 from morph_core.task import Task
@@ -29,7 +36,7 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
             fit_proxy(task, state, config)
             state.fitted = True
         sigma = design_sigma(iteration, config)
-        set_learning_rates(learner, iteration, config)
+        set_learning_rates(state, iteration, config)
         hw_phy = task.hw_phy(state.phi)
 
         world = explored_world(task, state, config, sigma)  # line 2
@@ -47,6 +54,7 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
         else:
             pull = linearised_pull(rollout, pairs, config)
         improve_control(state, batch, iteration, config)
+        restart_control(task, state, rollout, iteration, config)
         update = improve_proxy(task, state, pairs, hw_phy, pull, config)
         state.relabelled_steps += pairs.steps
 

@@ -10,8 +10,11 @@ from morph_core.config import Config
 from morph_core.exploration import Pull, Relabelled, annealed
 from morph_core.gradients import cosine, flatten, project, write_gradient
 from morph_core.rollout import Rollout, advantages
-from morph_core.state import Learner, State
+from morph_core.state import Learner, State, new_control
 from morph_core.task import Hardware, Task
+
+REACHED = 0.02
+"""Share of an iteration's episodes from which on a milestone counts as reached."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +42,17 @@ class ProxyUpdate:
     cosine_by_parameter: list[float | None] | None
 
 
-def set_learning_rates(learner: Learner, iteration: int, config: Config) -> None:
+def set_learning_rates(state: State, iteration: int, config: Config) -> None:
     """Anneal linearly over the schedule to `learning_rate_end` of the first ones."""
-    share = min(1.0, (iteration - 1) / max(1, config.schedule_iterations - 1))
-    factor = 1 - (1 - config.learning_rate_end) * share
-    learner.control_optimizer.param_groups[0]["lr"] = config.learning_rate * factor
-    learner.proxy_optimizer.param_groups[0]["lr"] = config.proxy_learning_rate * factor
+
+    def factor(age: int) -> float:
+        return 1 - (1 - config.learning_rate_end) * min(1.0, (age - 1) / max(1, config.schedule_iterations - 1))
+
+    learner = state.learner
+    learner.control_optimizer.param_groups[0]["lr"] = config.learning_rate * factor(iteration - state.control_start)
+    for optimizer in (learner.proxy_optimizer, learner.reference_optimizer):
+        if optimizer:
+            optimizer.param_groups[0]["lr"] = config.proxy_learning_rate * factor(iteration)
 
 
 def make_batch(task: Task, learner: Learner, rollout: Rollout, config: Config) -> Batch:
@@ -87,7 +95,20 @@ def improve_control(state: State, batch: Batch, iteration: int, config: Config) 
             nn.utils.clip_grad_norm_(policy.parameters(), config.max_grad_norm)
             nn.utils.clip_grad_norm_(critic.parameters(), 2 * config.max_grad_norm)
             learner.control_optimizer.step()
-    policy.limit_std(annealed(config.policy_std, config.policy_std_end, iteration, config))
+    age = iteration - state.control_start
+    policy.limit_std(annealed(config.policy_std, config.policy_std_end, age, config))
+
+
+def restart_control(task: Task, state: State, rollout: Rollout, iteration: int, config: Config) -> None:
+    """Let policy and critic start afresh where they have been stuck before some milestone of the task."""
+    shares = [reached.any(0).mean() for reached in rollout.milestones.values()] if rollout.kept.any() else []
+    if not shares or min(shares) >= REACHED:
+        state.last_reached = iteration
+    if 0 < config.restart_interval <= iteration - state.last_reached:
+        weights = torch.Generator().manual_seed(int(state.rng.integers(2**63)))
+        learner = state.learner
+        learner.policy, learner.critic, learner.control_optimizer = new_control(task, config, weights)
+        state.control_start = state.last_reached = iteration
 
 
 def improve_proxy(

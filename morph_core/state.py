@@ -71,6 +71,10 @@ class State:
     """Steps of Hw-Phy outside of trajectories: relabelling, and the search for phi."""
     truncations: int = 0
     """Episodes left out because their simulation diverged."""
+    control_start: int = 0
+    """The iteration after which policy and critic last started afresh."""
+    last_reached: int = 0
+    """The last iteration in which episodes reached every milestone of the task."""
 
     def advance(self, iteration: int, rollout: Rollout) -> None:
         """Note that an iteration is over, and what its trajectories took."""
@@ -95,7 +99,8 @@ def start(task: Task, config: Config, seed: int, design_space: DesignSpace | Non
     """Return the state before the first iteration; everything random in a run comes from `seed`."""
     space = design_space or task.design_space
     weights = torch.Generator().manual_seed(seed)
-    policy, critic, proxy = Policy(task, config, weights), Critic(task, config, weights), Proxy(task, config, weights)
+    policy, critic, control_optimizer = new_control(task, config, weights)
+    proxy = Proxy(task, config, weights)
     reference = copy.deepcopy(proxy) if config.search == "drift" else None
 
     def proxy_optimizer(network: Proxy) -> torch.optim.Adam:
@@ -103,7 +108,13 @@ def start(task: Task, config: Config, seed: int, design_space: DesignSpace | Non
 
     learner = Learner(
         policy, critic, proxy, reference,
-        torch.optim.Adam([*policy.parameters(), *critic.parameters()], config.learning_rate, fused=True),
-        proxy_optimizer(proxy), proxy_optimizer(reference) if reference else None,
+        control_optimizer, proxy_optimizer(proxy), proxy_optimizer(reference) if reference else None,
     )  # fmt: skip
     return State(0, 0, space.initial, space, config.alpha, config.projection, learner, np.random.default_rng(seed))
+
+
+def new_control(task: Task, config: Config, weights: torch.Generator) -> tuple[Policy, Critic, torch.optim.Adam]:
+    """Return policy and critic as they are before anything is learnt, and their optimiser."""
+    policy, critic = Policy(task, config, weights), Critic(task, config, weights)
+    parameters = [*policy.parameters(), *critic.parameters()]
+    return policy, critic, torch.optim.Adam(parameters, config.learning_rate, fused=True)

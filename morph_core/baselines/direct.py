@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from morph_core.config import Config
 from morph_core.exploration import design_sigma, episode_advantage, explore_designs, run_trajectories
-from morph_core.objective import improve_control, make_batch, set_learning_rates
+from morph_core.objective import improve_control, make_batch, restart_control, set_learning_rates
 from morph_core.protocol import Progress
 from morph_core.state import State
 from morph_core.task import Task
@@ -16,7 +16,7 @@ def direct(task: Task, config: Config, state: State) -> Iterator[Progress]:
     learner = state.learner
     for iteration in itertools.count(state.iteration + 1):
         sigma = design_sigma(iteration, config)
-        set_learning_rates(learner, iteration, config)
+        set_learning_rates(state, iteration, config)
         designs = explore_designs(state, config.trajectories, sigma, config.design_correlation)
         hw_phy = task.hw_phy(designs)
         rollout = run_trajectories(task, state, hw_phy, config)
@@ -24,6 +24,7 @@ def direct(task: Task, config: Config, state: State) -> Iterator[Progress]:
             yield state.skip(iteration, rollout)
             continue
         improve_control(state, make_batch(task, learner, rollout, config), iteration, config)
+        restart_control(task, state, rollout, iteration, config)
         advantage = episode_advantage(rollout.returns, config)
         # E[A (phi_i - phi)], the natural gradient
         step = (advantage[:, None] * (designs[rollout.kept] - state.phi)).mean(0)

@@ -4,10 +4,11 @@ import dataclasses
 from collections.abc import Mapping
 
 from morph_core.task import Task
+from morph_core.tasks.mouse_click import MouseClick
 from morph_core.tasks.pen_press import PenPress
 from morph_core.tasks.reacher import Reacher
 
-TASKS: dict[str, type] = {"reacher": Reacher, "pen_press": PenPress}
+TASKS: dict[str, type] = {"reacher": Reacher, "pen_press": PenPress, "mouse_click": MouseClick}
 
 
 def make_task(name: str, options: Mapping[str, object] | None = None) -> Task:

@@ -1,7 +1,9 @@
 """What the hands' tasks share: physics, control, observation, and the paper's reward for lifting and pressing."""
 
+import contextlib
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Literal
@@ -72,7 +74,8 @@ class HandPhysics:
         batch.bind("time")[:] = 0.0
         warnings = batch.warning
         warnings[:] = 0
-        batch.step(nstep=SUBSTEPS)
+        with _counted_warnings():
+            batch.step(nstep=SUBSTEPS)
         after = np.concatenate(fields, 1)
         qvel = fields[1]
         with np.errstate(invalid="ignore"):
@@ -112,8 +115,8 @@ class GraspTask(ABC):
     goal_height: float = 0.30
     """m: p_goal is this high above the middle of the table."""
     distance_weight: float = 0.3
-    """Reward per metre between object and p_goal, at most one metre (enters with a minus). With 1 the policy learns
-    to avoid the object, because every touch first pushes it away."""
+    """Reward per metre between object and p_goal (enters with a minus), never more than at the start: where a shove
+    costs, and almost every touch first is one, the policy learns to avoid the object."""
     contact_weight: float = 0.3
     """beta_0: reward while a distal link touches the button and the object is off the table. A larger one, or one
     on the table, presses the button there for ever."""
@@ -283,8 +286,9 @@ class GraspTask(ABC):
             holders = on_body.sum(1, keepdims=True) - on_body  # besides each finger
             goal &= (on_button & (holders >= 2)).any(1)
         distance = np.linalg.norm(position - np.array([0, 0, self.goal_height]), axis=1)
+        at_start = abs(self.goal_height - self.half_extents[2])
         terms = {
-            "distance": -self.distance_weight * np.minimum(distance, 1.0),
+            "distance": -self.distance_weight * np.minimum(distance, at_start),
             "contact": self.contact_weight * (contact & (risen > 0.01)),
             "height": self.height_weight * np.clip(risen, 0, self.height_limit),
             "goal": self.goal_bonus * goal,
@@ -388,6 +392,17 @@ def _contact_points(sensors: np.ndarray) -> np.ndarray:
     """Return where (N, fingers, 3) m each finger touches: the button, else the object, else NaN."""
     points = np.where(sensors[:, :, :1, 0] > 0, sensors[:, :, 0, 1:], sensors[:, :, 1, 1:])
     return np.where((sensors[..., 0] > 0).any(2)[..., None], points, np.nan)
+
+
+@contextlib.contextmanager
+def _counted_warnings() -> Iterator[None]:
+    """Keep MuJoCo's warnings off stderr and out of a MUJOCO_LOG.TXT: the batch counts them for each simulation."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _physics(hardware: Hardware) -> HandPhysics:

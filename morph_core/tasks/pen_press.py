@@ -42,11 +42,11 @@ class PenPress(GraspTask):
     @property
     def config(self) -> Config:
         return Config(
-            gamma=0.97, learning_rate=4e-4, learning_rate_end=1.0, minibatches=5, entropy_coef=0.003, hidden=128,
-            policy_std=0.6, policy_std_end=0.6, utility="log_rank", advantage_limit=5.0, design_correlation=0.5,
+            gamma=0.97, minibatches=5, entropy_coef=0.003, hidden=128, policy_std=0.6, policy_std_end=0.3,
+            restart_interval=30, utility="log_rank", advantage_limit=5.0, design_correlation=0.5,
             design_sigma=1.0, design_sigma_end=0.2, schedule_hold=0.4, direct_step=0.5, search="drift",
             design_interval=2, proxy_pairs=1024, search_pairs=256, search_population=10, search_generations=6,
-            proxy_prefit=200, proxy_learning_rate=1e-3, kappa=0.5,
+            proxy_prefit=200, kappa=1.0, drift_clip=0.2, drift_ridge=1.0,
         )  # fmt: skip
 
     @property
