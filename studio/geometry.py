@@ -6,7 +6,7 @@ mass properties are the polynomials of `morph_core.tasks.printed`, and the short
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -59,7 +59,7 @@ class Sizes:
     """Height of the palm's underside above the pins of the fingers, which turn below it."""
     palm_high: float = 27.0
     palm_chamfer: float = 2.0
-    palm_segments: int = 240
+    palm_segments: int = 120
     mount_radius: float = 60.0
     """Distance of the fingers' pins from the palm's axis."""
     mount_root: tuple[float, float] = (44.0, 54.0)
@@ -98,7 +98,7 @@ class Sizes:
 SIZES = Sizes()
 
 
-@cache
+@lru_cache(256)
 def link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
     """Return a link of `length` mm in the frame of its joint."""
     if kind == "proximal":
@@ -107,14 +107,14 @@ def link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
     return _tip_shaft(length, sizes) + _eye(sizes, sizes.neck, sizes.tang) - _bore(sizes, sizes.pin_play)
 
 
-@cache
+@lru_cache(256)
 def palm(angles: tuple[float, ...], sizes: Sizes = SIZES) -> Manifold:
     """Return the palm with mounts at `angles` rad. Its origin is on its axis, at the height of the fingers' pins."""
     mounts = [mount(sizes).rotate((0, 0, math.degrees(angle))) for angle in angles]
     return Manifold.batch_boolean([plate(sizes), *mounts], OpType.Add)
 
 
-@cache
+@lru_cache(256)
 def plate(sizes: Sizes = SIZES) -> Manifold:
     """Return the palm without mounts."""
     radius, low, high, c = sizes.palm_radius, sizes.palm_low, sizes.palm_high, sizes.palm_chamfer
@@ -122,7 +122,7 @@ def plate(sizes: Sizes = SIZES) -> Manifold:
         (sizes.cable_hole / 2, low), (radius - c, low), (radius, low + c), (radius, high - c), (radius - c, high),
         (sizes.cable_hole / 2, high),
     ]  # fmt: skip
-    disc = Manifold.revolve(CrossSection([profile]), sizes.palm_segments)
+    disc = _turned(profile, sizes)
     head, depth = sizes.bolt_head
     bolt = _cylinder(sizes.bolt_diameter / 2, low - 1, high + 1, sizes) + _cylinder(
         head / 2, low - 1, low + depth, sizes
@@ -131,7 +131,7 @@ def plate(sizes: Sizes = SIZES) -> Manifold:
     return disc - Manifold.batch_boolean(bolts, OpType.Add)
 
 
-@cache
+@lru_cache(256)
 def mount(sizes: Sizes = SIZES, overlap: float = SIZES.overlap) -> Manifold:
     """Return the clevis of a finger at angle 0, reaching into the palm by `overlap`."""
     near, far = sizes.mount_root
@@ -147,22 +147,26 @@ def mount(sizes: Sizes = SIZES, overlap: float = SIZES.overlap) -> Manifold:
     return block - slot - _bore(sizes).translate((pin, 0, 0))
 
 
-@cache
+@lru_cache(256)
 def arm_link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
     """Return a link of the reacher of `length` mm, which lies along x and turns about z: a finger's, enlarged."""
     return link(kind, length / ARM_SCALE, sizes).transform(np.column_stack([ARM_SCALE * LAID, np.zeros(3)]))
 
 
-@cache
+@lru_cache(256)
 def arm_base(sizes: Sizes = SIZES) -> Manifold:
     """Return the reacher's foot: a disc and a boss, on which the first link turns round its pin."""
+    bore, top = sizes.pin_diameter / 2, -sizes.tang / 2 - sizes.side_play
     outline = [
-        (sizes.pin_diameter / 2, sizes.foot_low), (sizes.foot_radius, sizes.foot_low),
-        (sizes.foot_radius, sizes.foot_high), (sizes.joint_radius, sizes.foot_high), (sizes.joint_radius, -sizes.tang / 2 - sizes.side_play),
-        (sizes.pin_diameter / 2, -sizes.tang / 2 - sizes.side_play),
+        (bore, sizes.foot_low), (sizes.foot_radius, sizes.foot_low), (sizes.foot_radius, sizes.foot_high),
+        (sizes.joint_radius, sizes.foot_high), (sizes.joint_radius, top), (bore, top),
     ]  # fmt: skip
-    scaled = [(ARM_SCALE * r, ARM_SCALE * z) for r, z in outline]
-    return Manifold.revolve(CrossSection([scaled]), sizes.palm_segments)
+    return _turned(outline, sizes).scale((ARM_SCALE, ARM_SCALE, ARM_SCALE))
+
+
+def _turned(outline: list[tuple[float, float]], sizes: Sizes) -> Manifold:
+    """Return the body of revolution of an outline (radius, z) about z."""
+    return Manifold.revolve(CrossSection([np.array(outline)]), sizes.palm_segments)
 
 
 def _clevis_shaft(length: float, sizes: Sizes) -> Manifold:

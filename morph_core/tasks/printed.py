@@ -7,6 +7,7 @@ solid, so that mass is spread evenly; pins, bolts and motors are not in it.
 from dataclasses import dataclass
 from typing import Literal
 
+import mujoco
 import numpy as np
 
 DENSITY = 1240.0  # kg/m^3: PLA
@@ -113,6 +114,13 @@ MOUNT = Moments(
 
 LAID = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """From a hanging link, which turns about y, to one of the arm, which lies along x and turns about z."""
+
+
+def set_inertial(body: mujoco.MjsBody, inertial: Inertial) -> None:
+    """Give a body these mass properties instead of those of its geoms."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertial.inertia
+    body.explicitinertial = True
+    body.mass, body.ipos, body.fullinertia = inertial.mass, inertial.com, [xx, yy, zz, xy, xz, yz]
 
 
 def link_inertial(kind: LinkKind, length: float) -> Inertial:
