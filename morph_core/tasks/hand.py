@@ -9,15 +9,14 @@ import numpy as np
 from morph_core.design import DesignSpace
 from morph_core.protocol import Parameter
 from morph_core.tasks import palette
+from morph_core.tasks.printed import link_inertial, palm_inertial, set_inertial
 
 PALM_RADIUS = 0.06  # m
 PALM_THICKNESS = 0.024  # m
-PALM_MASS = 1.0  # kg
 PALM_RANGE = (0.06, 0.75)  # m: height of the slide
 PALM_KP, PALM_KV, PALM_FORCE = 1500.0, 120.0, 100.0  # N/m, N s/m, N
 PALM_DAMPING = 20.0  # N s/m
 FINGER_RADIUS = 0.015  # m
-FINGER_DENSITY = 500.0  # kg/m^3: a printed part with infill
 FINGER_FRICTION = (1.2, 0.02, 0.0005)  # rubber on plastic; sliding, torsional, rolling
 PROXIMAL_RANGE = (-0.9, 1.7)  # rad, outward
 DISTAL_RANGE = (-0.6, 2.2)  # rad, inward
@@ -102,14 +101,14 @@ class Hand:
         )  # fmt: skip
         disc = palm.add_geom(
             name="palm", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[PALM_RADIUS, PALM_THICKNESS / 2, 0],
-            pos=[0, 0, FINGER_RADIUS], mass=PALM_MASS, rgba=palette.BASE,
+            pos=[0, 0, FINGER_RADIUS], mass=0, rgba=palette.BASE,
         )  # fmt: skip
         disc.contype, disc.conaffinity = PALM_CONTACT
         _add_servo(spec, "palm", PALM_RANGE, PALM_KP, PALM_KV, PALM_FORCE)
-        for i, (angle, length) in enumerate(
-            zip(self.base_angles + phi[: self.fingers], phi[self.fingers :], strict=True)
-        ):
-            self._add_finger(spec, palm, i, float(angle), float(length))
+        angles, lengths = self.base_angles + phi[: self.fingers], phi[self.fingers :]
+        set_inertial(palm, palm_inertial(angles))
+        for i in range(self.fingers):
+            self._add_finger(spec, palm, i, float(angles[i]), float(lengths[i]))
         spec.add_key(name="start", qpos=self.start(phi), ctrl=self.start(phi))
         return spec
 
@@ -131,9 +130,10 @@ class Hand:
             )
             link = body.add_geom(
                 name=joint, type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, 0, 0, -length],
-                size=[FINGER_RADIUS, 0, 0], density=FINGER_DENSITY, friction=FINGER_FRICTION, condim=4, rgba=shade,
+                size=[FINGER_RADIUS, 0, 0], mass=0, friction=FINGER_FRICTION, condim=4, rgba=shade,
             )  # fmt: skip
             link.contype, link.conaffinity = FINGER_CONTACT
+            set_inertial(body, link_inertial(part, length))
             _add_servo(spec, joint, joint_range, JOINT_KP, JOINT_KV, JOINT_TORQUE)
 
 

@@ -12,13 +12,13 @@ from morph_core.design import DesignSpace
 from morph_core.protocol import Parameter
 from morph_core.task import Hardware, Transition
 from morph_core.tasks import palette
+from morph_core.tasks.printed import arm_link_inertial, set_inertial
 
 LINKS = 5
 TOLERANCE = 1e-4
 """m: a link counts as inside a wall beyond this depth."""
 # What the arm is made of when it is shown and exported; the task itself is kinematic and its links have no width.
 LINK_RADIUS = 0.06  # m
-LINK_DENSITY = 200.0  # kg/m^3: a printed part with sparse infill
 JOINT_DAMPING = 1.0  # N m s/rad
 JOINT_ARMATURE = 0.1  # kg m^2
 SERVO_KP = 2000.0  # N m/rad
@@ -354,8 +354,9 @@ class Reacher:
             )
             geom = body.add_geom(
                 name=f"link_{i + 1}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, length, 0, 0],
-                size=[LINK_RADIUS, 0, 0], density=LINK_DENSITY, rgba=palette.PARTS[i],
+                size=[LINK_RADIUS, 0, 0], mass=0, rgba=palette.PARTS[i],
             )  # fmt: skip
+            set_inertial(body, arm_link_inertial("distal" if i == LINKS - 1 else "proximal", length))
             geom.contype, geom.conaffinity = 1, 2  # neighbouring links share a joint: they never collide
             servo = spec.add_actuator(name=f"joint_{i + 1}", target=f"joint_{i + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
             servo.set_to_position(kp=SERVO_KP, kv=SERVO_KV)
