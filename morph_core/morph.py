@@ -59,7 +59,7 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
         state.relabelled_steps += pairs.steps
 
         search_cost = None
-        if iteration % config.design_interval == 0:  # line 4
+        if iteration % config.design_interval == 0 and sigma > 0:  # line 4
             dataset = relabel(rollout, learner, config.search_pairs, state.rng)  # line 5
             seed = int(state.rng.integers(1, 2**31))
             search = derive_design(  # line 6, Eq. 3

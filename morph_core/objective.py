@@ -173,6 +173,7 @@ def fit_proxy(task: Task, state: State, config: Config, pairs: int = 512) -> flo
     for step in range(config.proxy_prefit):
         s, a = task.sample_pairs(pairs, state.rng)
         z = hw_phy(s, a)
+        state.relabelled_steps += len(z)
         sound = np.isfinite(z).all(1)
         target = torch.from_numpy(z[sound].astype(np.float32))
         loss = ((proxy(torch.from_numpy(task.proxy_input(s[sound], a[sound]))) - target) ** 2).sum(-1).mean()

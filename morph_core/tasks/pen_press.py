@@ -46,7 +46,7 @@ class PenPress(GraspTask):
             restart_interval=30, utility="log_rank", advantage_limit=5.0, design_correlation=0.5,
             design_sigma=1.0, design_sigma_end=0.2, schedule_hold=0.4, direct_step=0.5, search="drift",
             design_interval=2, proxy_pairs=1024, search_pairs=256, search_population=10, search_generations=6,
-            proxy_prefit=200, kappa=1.0, drift_clip=0.2, drift_ridge=1.0,
+            proxy_prefit=10, kappa=1.0, drift_clip=0.2, drift_ridge=1.0,
         )  # fmt: skip
 
     @property
