@@ -21,16 +21,19 @@ import viser
 from fastapi import FastAPI
 
 from morph_core.history import History
-from morph_core.protocol import Evaluation, Progress, RunRecord, StateChanged, Status
+from morph_core.protocol import AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_rollout
 from morph_core.tasks import make_task
 from studio.app import create_app
 from studio.bridge import MAX_MESSAGE
 from studio.runs import Runs
 from studio.settings import Settings
+from studio.viewer import StartRequest, Viewer
+from studio.viewer.take import Take
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "a-token-of-the-tests"
+NAME = "20260101-000000-reacher-morph-s0"
 
 STAND_IN = """
 import os, platform, sys, time
@@ -80,7 +83,7 @@ def in_mood(mood: str) -> Callable[..., subprocess.Popen[bytes]]:
     return lambda folder, *, further=None: stand_in(folder, further=further, mood=mood)
 
 
-def make_run(runs: Path, name: str = "20260101-000000-reacher-morph-s0", ended: Status | None = "stopped") -> RunFolder:
+def make_run(runs: Path, name: str = NAME, ended: Status | None = "stopped") -> RunFolder:
     """Return a run folder with three iterations, an evaluation and a rollout; without `ended`, before its start."""
     task = make_task("reacher")
     record = RunRecord(
@@ -109,12 +112,96 @@ def make_run(runs: Path, name: str = "20260101-000000-reacher-morph-s0", ended: 
     return folder
 
 
+def make_hand_run(runs: Path, task: str, name: str = "20260101-000000-hand-direct-s0") -> RunFolder:
+    """Return a run folder of a hand: one iteration whose first finger grew and moved, and its evaluation."""
+    made = make_task(task)
+    record = RunRecord(
+        id=name, task=task, method="direct", seed=0, iterations=10, config=dataclasses.asdict(made.config),
+        parameters=list(made.design_space.parameters), versions={"python": "3"}, created=time.time(),
+    )  # fmt: skip
+    folder = create_run(runs, record)
+    phi = made.design_space.initial.tolist()
+    phi[0], phi[len(phi) // 2] = 0.1, phi[len(phi) // 2] + 0.05
+    log = EventLog(folder)
+    log.append(StateChanged(status="starting", iteration=0))
+    log.append(
+        Progress(
+            iteration=1, env_steps=5120, phi=phi, episode_return=-1.0, success=0.0, policy_std=0.5,
+            relabelled_steps=1024, truncations=3,
+        )
+    )  # fmt: skip
+    log.append(
+        Evaluation(
+            iteration=1, env_steps=5120, phi=phi, sampled_success=0.25, sampled_return=0.0, deterministic_success=0.5,
+            deterministic_return=0.0, milestones={"lifted": 0.75, "pressed": 0.5}, truncations=2,
+        )
+    )  # fmt: skip
+    log.append(StateChanged(status="finished", iteration=1, message="as asked"))
+    log.close()
+    return folder
+
+
 def eventually(claim: Callable[[], object], seconds: float = 10.0) -> object:
     """Return the first true value of `claim`, or its last value after `seconds`."""
     deadline = time.monotonic() + seconds
     while not (value := claim()) and time.monotonic() < deadline:
         time.sleep(0.02)
     return value
+
+
+@dataclass
+class Page:
+    """A viewer, and what it has asked for."""
+
+    server: viser.ViserServer
+    viewer: Viewer
+    commands: list[tuple[str, AnyCommand]] = field(default_factory=list)
+    started: list[StartRequest] = field(default_factory=list)
+    resumed: list[str] = field(default_factory=list)
+    exported: list[tuple[str, str]] = field(default_factory=list)
+    refusal: str | None = None
+
+    def show(self, folder: RunFolder, status: Status | None = None, message: str = "") -> History:
+        history = History(folder)
+        state = (status or history.status, message or history.message)
+        self.viewer.show({folder.id: history}, {folder.id: state}, folder.id)
+        return history
+
+    def take(self, wanted: Callable[[Take], bool] = lambda _: True) -> Take:
+        """Return what is on the scene once it is as wanted."""
+        take = eventually(lambda: (t := self.viewer.player.take) and wanted(t) and t)
+        assert isinstance(take, Take)
+        return take
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+
+    def heed(ask: Callable[[], None]) -> None:
+        if page.refusal:
+            raise ValueError(page.refusal)
+        ask()
+
+    def start(request: StartRequest) -> str:
+        heed(lambda: page.started.append(request))
+        return NAME
+
+    def export(run_id: str, which: str) -> tuple[str, bytes]:
+        heed(lambda: page.exported.append((run_id, which)))
+        return "design.zip", b"zip"
+
+    viewer = Viewer(
+        server,
+        on_command=lambda run_id, command: heed(lambda: page.commands.append((run_id, command))),
+        on_start=start,
+        on_resume=lambda run_id: heed(lambda: page.resumed.append(run_id)),
+        on_export=export,
+    )
+    page = Page(server, viewer)
+    yield page
+    viewer.stop()
+    server.stop()
 
 
 @dataclass

@@ -90,6 +90,20 @@ def test_tasks_come_with_everything_a_form_needs(served: Served) -> None:
     assert set(config) == set(Config.__dataclass_fields__)
     assert all(field["doc"] for field in config.values())
     assert [p["name"] for p in reacher["parameters"]] == [f"link_{i}" for i in range(1, 6)]
+    assert answer["tasks"][0] == reacher  # what the page shows first
+    assert (reacher["explorations"], reacher["z_unit"]) == (["design", "gaussian"], "m")
+
+
+def test_a_hand_says_what_it_can_be_run_with(served: Served) -> None:
+    tasks = {task["name"]: task for task in served.client.get("/api/tasks").json()["tasks"]}
+    hand = tasks["pen_press"]
+    assert (hand["explorations"], hand["z_unit"]) == (["design"], "")
+    options = {option["name"]: option for option in hand["options"]}
+    assert options["grasp"]["choices"] == ["any_two", "two_besides_presser"]
+    assert all(option["doc"] for option in options.values())  # those that it has from the common hand too
+    answer = served.client.post("/api/runs", json={"task": "pen_press", "settings": {"exploration": "gaussian"}})
+    assert answer.status_code == 422
+    assert "choose from: design" in answer.json()["detail"]
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------

@@ -13,11 +13,15 @@ from pathlib import Path
 
 import psutil
 import pytest
+from conftest import make_hand_run
 
 from morph_core.history import History
 from morph_core.protocol import Evaluation, Heartbeat, Progress, StateChanged, Status
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, hold, list_runs
 from studio.cli import run
+from studio.cli.evaluate import _print_result
+from studio.cli.follow import Outcome, _in_short
+from studio.cli.train import _document
 from studio.new_run import prepare_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,6 +80,30 @@ def folder(tmp_path: Path) -> RunFolder:
     return folder
 
 
+def test_milestones_and_diverged_episodes_are_reported(tmp_path: Path) -> None:
+    history = History(make_hand_run(tmp_path, "pen_press"))
+    assert _in_short(history).startswith("success 0.25  lifted 0.75  pressed 0.50  return 0.00  phi 0.10 ")
+    assert _in_short(history).endswith("  diverged 3")
+    document = _document(history, Outcome(0, "finished", ""))
+    assert document["relabelled_steps"] == 1024
+    assert document["truncations"] == 3
+    assert document["last_evaluation"]["milestones"] == {"lifted": 0.75, "pressed": 0.5}  # pyright: ignore[reportIndexIssue, reportOptionalSubscript]
+    assert document["last_evaluation"]["truncations"] == 2  # pyright: ignore[reportIndexIssue, reportOptionalSubscript]
+
+
+def test_an_evaluation_is_printed_with_what_came_before_success(capsys: pytest.CaptureFixture[str]) -> None:
+    score = {"success": 0.25, "episode_return": -1.0, "milestones": {"lifted": 0.75}, "truncations": 0}
+    result = {"run": "r", "iteration": 3, "episodes": 8, "phi": {"length_1": 0.2}, "sampled": score}
+    _print_result(result | {"deterministic": score})
+    assert capsys.readouterr().out.splitlines()[1].split() == [
+        "policy,", "8", "episodes", "success", "lifted", "return"
+    ]  # fmt: skip
+    _print_result(result | {"deterministic": score | {"truncations": 2}})
+    heading, *rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
+    assert heading[-1] == "diverged"
+    assert rows == [["sampled", "0.250", "0.750", "-1.000", "0"], ["deterministic", "0.250", "0.750", "-1.000", "2"]]
+
+
 def test_help_lists_the_commands_within_a_second() -> None:
     before = os.times()
     done = morph_studio("--help")
@@ -114,8 +142,8 @@ def test_the_command_line_does_not_load_torch() -> None:
     ("words", "sentence"),
     [
         ("brew", "choose from: serve, train, runs, evaluate, export"),
-        ("train", "choose from: reacher"),
-        ("train reech", 'unknown task "reech"; choose from: reacher'),
+        ("train", "choose from: mouse_click, pen_press, reacher"),
+        ("train reech", 'unknown task "reech"; choose from: mouse_click, pen_press, reacher'),
         ("train reacher extra", "too many words: extra"),
         ("train reacher --alhpa 1", "did you mean --alpha?"),
         ("train reacher --alhpa 1", "choose from: --runs --method --seed"),
@@ -172,7 +200,9 @@ def test_runs_lists_every_folder_and_says_why_one_is_unreadable(folder: RunFolde
         line["id"]: line
         for line in json.loads(morph_studio("runs", "--runs", str(folder.path.parent), "--json").stdout)
     }
-    assert listed[folder.id]["best"] == {"iteration": 1, "success": 0.75, "episode_return": -1.5}
+    assert listed[folder.id]["best"] == {
+        "iteration": 1, "success": 0.75, "episode_return": -1.5, "milestones": {}
+    }  # fmt: skip
     assert listed["holiday-pictures"]["status"] == "unreadable"
 
 

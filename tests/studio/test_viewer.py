@@ -2,21 +2,18 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 import viser
-from conftest import eventually, make_run
+from conftest import NAME, Page, eventually, make_run
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
-from morph_core.history import History
 from morph_core.protocol import (
     Acknowledged,
-    AnyCommand,
     AnyEvent,
     DesignSpaceChanged,
     Evaluation,
@@ -29,74 +26,16 @@ from morph_core.protocol import (
     SetBound,
     SetProjection,
     StateChanged,
-    Status,
     Step,
     Stop,
     Unlock,
 )
 from morph_core.run_folder import EventLog, RunFolder, write_rollout
 from morph_core.tasks import make_task
-from studio.viewer import StartRequest, Viewer
+from studio.viewer import StartRequest
 from studio.viewer.charts import MOST_POINTS, decimate
-from studio.viewer.take import Shot, Take, make_take
+from studio.viewer.take import Shot, make_take
 from studio.viewer.viewer import NEW_RUN
-
-NAME = "20260101-000000-reacher-morph-s0"
-
-
-@dataclass
-class Page:
-    """A viewer, and what it has asked for."""
-
-    server: viser.ViserServer
-    viewer: Viewer
-    commands: list[tuple[str, AnyCommand]] = field(default_factory=list)
-    started: list[StartRequest] = field(default_factory=list)
-    resumed: list[str] = field(default_factory=list)
-    exported: list[tuple[str, str]] = field(default_factory=list)
-    refusal: str | None = None
-
-    def show(self, folder: RunFolder, status: Status | None = None, message: str = "") -> History:
-        history = History(folder)
-        state = (status or history.status, message or history.message)
-        self.viewer.show({folder.id: history}, {folder.id: state}, folder.id)
-        return history
-
-    def take(self, wanted: Callable[[Take], bool] = lambda _: True) -> Take:
-        """Return what is on the scene once it is as wanted."""
-        take = eventually(lambda: (t := self.viewer.player.take) and wanted(t) and t)
-        assert isinstance(take, Take)
-        return take
-
-
-@pytest.fixture
-def page() -> Iterator[Page]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-
-    def heed(ask: Callable[[], None]) -> None:
-        if page.refusal:
-            raise ValueError(page.refusal)
-        ask()
-
-    def start(request: StartRequest) -> str:
-        heed(lambda: page.started.append(request))
-        return NAME
-
-    def export(run_id: str, which: str) -> tuple[str, bytes]:
-        heed(lambda: page.exported.append((run_id, which)))
-        return "design.zip", b"zip"
-
-    viewer = Viewer(
-        server,
-        on_command=lambda run_id, command: heed(lambda: page.commands.append((run_id, command))),
-        on_start=start,
-        on_resume=lambda run_id: heed(lambda: page.resumed.append(run_id)),
-        on_export=export,
-    )
-    page = Page(server, viewer)
-    yield page
-    viewer.stop()
-    server.stop()
 
 
 @pytest.fixture

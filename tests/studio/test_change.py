@@ -1,0 +1,205 @@
+"""How runs of hands read: the change of each part, units, milestones, rules, and what the forms allow."""
+
+import re
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import Page, make_hand_run, make_run
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from morph_core.history import History
+from morph_core.protocol import Parameter, SetBound
+from morph_core.run_folder import RunFolder
+from morph_core.tasks import TASKS, make_task
+from studio.viewer.change import change_table
+from studio.viewer.parts import Unit, quantities_of, split_name, unit_of
+from studio.viewer.rules import rules_of, success_rule
+from studio.viewer.traces import _traces_of
+
+HANDS = sorted(name for name in TASKS if name != "reacher")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return make_hand_run(tmp_path / "runs", "pen_press")
+
+
+def words_of(table: str) -> list[str]:
+    """Return the text of an HTML table."""
+    return [words for words in re.split(r"(?:<[^>]*>|\s)*<[^>]*>(?:<[^>]*>|\s)*", table) if words]
+
+
+# --- parts and units ---
+
+
+@pytest.mark.parametrize("task", HANDS)
+def test_each_finger_has_a_placement_in_degrees_and_a_length_in_centimetres(tmp_path: Path, task: str) -> None:
+    placement, length = quantities_of(History(make_hand_run(tmp_path, task)))
+    assert (placement.name, placement.unit.name) == ("placement", "°")
+    assert (length.name, length.unit.name) == ("length", "cm")
+    fingers = [f"finger {i}" for i in range(1, TASKS[task].fingers + 1)]
+    assert [e.part for e in placement.entries] == [e.part for e in length.entries] == fingers
+    assert sorted(e.index for q in (placement, length) for e in q.entries) == list(range(2 * len(fingers)))
+    assert len({e.colour for e in length.entries}) == len(fingers)
+
+
+def test_links_of_metres_stay_in_metres(tmp_path: Path) -> None:
+    (link,) = quantities_of(History(make_run(tmp_path)))
+    assert link.unit == Unit("m", 1.0, 2)
+    assert [entry.part for entry in link.entries] == [f"link {i}" for i in range(1, 6)]
+
+
+def test_parameters_of_a_task_that_is_gone_keep_their_names(tmp_path: Path) -> None:
+    history = History(make_hand_run(tmp_path, "pen_press"))
+    history.record = msgspec.structs.replace(history.record, task="gone")
+    placement, _ = quantities_of(history)
+    assert [entry.part for entry in placement.entries][:2] == ["placement 1", "placement 2"]
+
+
+@pytest.mark.parametrize(("name", "parts"), [("length_12", ("length", "12")), ("stiffness", ("stiffness", ""))])
+def test_a_name_is_a_quantity_and_a_number(name: str, parts: tuple[str, str]) -> None:
+    assert split_name(name) == parts
+
+
+@given(st.floats(-4, 4), st.sampled_from(["rad", "m", "kg", ""]), st.sampled_from([0.4, 5.0]))
+def test_a_change_says_its_sign_and_unit_once(value: float, unit: str, largest: float) -> None:
+    shown = unit_of(Parameter("p", unit, -largest, largest, 0, -largest, largest))
+    words = shown.change(value)
+    assert words.endswith(shown.name)
+    number = float(words.removesuffix(shown.name).strip(" ±+").replace("−", "-"))
+    assert number == pytest.approx(value * shown.factor, abs=0.51 * 10**-shown.digits)
+    assert words[0] == ("±" if number == 0 else "+" if value > 0 else "−")
+
+
+# --- the table ---
+
+
+def test_the_change_of_each_finger_is_in_the_table(folder: RunFolder) -> None:
+    history = History(folder)
+    words = words_of(change_table(history, history.phi))
+    initial = 100 * history.initial_phi[-1]
+    assert words[:2] == ["placement", "length"]
+    assert words[2:6] == ["finger 1", "+5.7°", f"{initial:.1f} → {initial + 5:.1f} cm", "+5.0 cm"]
+    assert words[6:10] == ["finger 2", "±0.0°", f"{initial:.1f} → {initial:.1f} cm", "±0.0 cm"]
+
+
+def test_the_largest_change_fills_its_side_and_a_shorter_finger_goes_to_the_left(folder: RunFolder) -> None:
+    history = History(folder)
+    phi = history.initial_phi.copy()
+    phi[4:] += (0.2, -0.1, 0.0, 0.0)
+    bars = re.findall(r"left:([\d.]+)%;width:([\d.]+)%", change_table(history, phi))
+    lengths = [(float(left), float(width)) for left, width in bars[1::2]]
+    assert lengths == [(50, 50), (25, 25), (50, 0), (50, 0)]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])  # the run is only read
+@given(st.lists(st.floats(-1, 1), min_size=8, max_size=8))
+def test_bars_stay_in_their_track(folder: RunFolder, change: list[float]) -> None:
+    history = History(folder)
+    bars = re.findall(r"left:([\d.]+)%;width:([\d.]+)%", change_table(history, history.initial_phi + np.array(change)))
+    assert len(bars) == 8
+    assert all(float(left) >= 0 and float(left) + float(width) <= 100.05 for left, width in bars)
+
+
+# --- the panels ---
+
+
+def test_a_hands_run_is_shown_with_milestones_losses_and_rules(page: Page, folder: RunFolder) -> None:
+    page.show(folder)
+    numbers = words_of(page.viewer.run.numbers.content)
+    shown = dict(zip(numbers[::2], numbers[1::2], strict=True))
+    assert shown["lifted, sampled"] == "75 %"
+    assert shown["pressed, sampled"] == "50 %"
+    assert shown["diverged in this evaluation"] == "2 episodes"
+    assert shown["episodes left out: diverged"] == "3"
+    assert shown["environment steps"] == "5.1 k"
+    assert shown["steps for relabelling and search"] == "1.0 k"
+    assert "Options: grasp any_two." in page.viewer.run.rules.content
+    assert "at least half of the last ten control steps" in page.viewer.run.rules.content
+
+
+def test_nothing_is_said_of_divergence_where_nothing_diverged(page: Page, tmp_path: Path) -> None:
+    page.show(make_run(tmp_path))
+    assert "diverged" not in page.viewer.run.numbers.content
+    assert "relabelling" not in page.viewer.run.numbers.content
+
+
+def test_the_method_is_named_with_the_rules_that_it_uses(folder: RunFolder, tmp_path: Path) -> None:
+    assert rules_of(History(folder))[0].startswith("Method direct: φ follows the returns")
+    morph = rules_of(History(make_run(tmp_path / "reacher")))
+    assert morph[0] == "Method morph: z explored by design, φ searched by cma, projection none."
+    assert morph[1] == "Options: tunnel zigzag, z joints."
+
+
+@pytest.mark.parametrize("task", sorted(TASKS))
+def test_every_task_says_what_counts_as_success(task: str) -> None:
+    rule = success_rule(task)
+    assert rule.endswith(".")
+    assert "\n" not in rule
+    assert "Randomised" not in rule
+
+
+def test_success_has_its_milestones_and_each_unit_of_phi_its_own_chart(page: Page, folder: RunFolder) -> None:
+    page.show(folder)
+    charts = page.viewer.traces.charts
+    labels = {title: [series.get("label") for series in chart.series[1:]] for title, chart in charts.items()}
+    assert labels["Success on Hw-Phy"] == ["sampled", "deterministic", "lifted", "pressed"]
+    np.testing.assert_allclose([column[-1] for column in charts["Success on Hw-Phy"].data[1:]], [25, 50, 75, 50])
+    assert labels["Design φ: placement by finger"] == labels["Design φ: length by finger"] == ["1", "2", "3", "4"]
+    np.testing.assert_allclose(charts["Design φ: placement by finger"].data[1], np.degrees([0, 0.1]))
+    initial = 100 * make_task("pen_press").design_space.initial[-1]
+    np.testing.assert_allclose(charts["Design φ: length by finger"].data[1], [initial, initial + 5])
+    assert "+5.7°" in page.viewer.traces.change.content
+
+
+def test_charts_are_made_anew_for_a_run_of_another_robot(page: Page, folder: RunFolder, tmp_path: Path) -> None:
+    page.show(folder)
+    page.show(make_run(tmp_path / "other"))
+    assert "Design φ" in page.viewer.traces.charts
+    assert not any(title.startswith("Design φ:") for title in page.viewer.traces.charts)
+    assert len(page.viewer.traces.charts["Success on Hw-Phy"].series) == 3
+
+
+def test_the_divergence_is_in_the_units_of_z(folder: RunFolder, tmp_path: Path) -> None:
+    axes = [_traces_of(history)[50].axis for history in (History(make_run(tmp_path / "reacher")), History(folder))]
+    assert axes == ["squared distance [m²]", "squared distance [typical²]"]
+
+
+def test_bounds_that_the_browser_rounded_are_no_edits(page: Page, folder: RunFolder) -> None:
+    page.show(folder, "running")
+    rows = page.viewer.design.rows
+    rows["placement_1"].bounds.value = (-3.142, 3.142)  # of -pi and pi
+    assert page.viewer.design.commands() == []
+    rows["placement_1"].bounds.value = (-0.5, 3.142)
+    assert page.viewer.design.commands() == [SetBound("placement_1", -0.5, np.pi)]
+
+
+def test_a_heading_gives_an_angle_in_degrees_too(page: Page, folder: RunFolder) -> None:
+    page.show(folder, "running")
+    assert str(page.viewer.design.rows["placement_1"].folder.label).startswith("placement_1: 0.100 rad, 5.7°")
+    assert str(page.viewer.design.rows["length_2"].folder.label).startswith("length_2: 0.")
+
+
+@pytest.mark.parametrize("task", HANDS)
+def test_a_hand_is_not_offered_what_it_cannot_be_run_with(page: Page, task: str) -> None:
+    form = page.viewer.start
+    form.task.value = task
+    assert list(form.exploration.options) == ["design"]
+    form.exploration._impl.value = "gaussian"
+    form.submit(None)
+    assert not page.started
+    assert "choose from: design" in form.notice.content
+    form.exploration._impl.value = "design"
+    form.submit(None)
+    assert [request.task for request in page.started] == [task]
+
+
+def test_another_task_is_seen_before_the_start(page: Page) -> None:
+    page.viewer.start.task.value = "pen_press"
+    take = page.take(lambda take: take.shot.task == "pen_press")
+    assert "button" in take.objects.names
+    assert page.viewer.start.options["pen_press"]["grasp"].visible
+    assert not page.viewer.start.options["reacher"]["tunnel"].visible
