@@ -35,7 +35,8 @@ class Policy(nn.Module):
         super().__init__()
         self.mean = mlp(task.observation_size, config.hidden, task.action_size, nn.Tanh, rng)
         nn.init.orthogonal_(self.mean[-1].weight, 0.01, generator=rng)  # pyright: ignore[reportArgumentType]
-        nn.init.zeros_(self.mean[-1].bias)  # pyright: ignore[reportArgumentType]
+        with torch.no_grad():
+            self.mean[-1].bias.copy_(torch.from_numpy(task.initial_action))  # pyright: ignore
         self.log_std = nn.Parameter(torch.full((task.action_size,), math.log(config.policy_std)))
 
     @property

@@ -91,6 +91,11 @@ class Task(Protocol):
     def action_size(self) -> int: ...
 
     @property
+    def initial_action(self) -> np.ndarray:
+        """(action_size,) the mean action of a policy that has learnt nothing."""
+        ...
+
+    @property
     def z_size(self) -> int: ...
 
     @property

@@ -6,7 +6,6 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from morph_core.config import Config
 from morph_core.tasks import palette
 from morph_core.tasks.grasp import OBJECT_FRICTION, GraspTask, add_button, add_free_body
 from morph_core.tasks.hand import OBJECT_CONTACT
@@ -38,16 +37,6 @@ class PenPress(GraspTask):
     name: ClassVar[str] = "pen_press"
     title: ClassVar[str] = "4-finger hand lifts a pen and presses its button"
     fingers: ClassVar[int] = 4
-
-    @property
-    def config(self) -> Config:
-        return Config(
-            gamma=0.97, minibatches=5, entropy_coef=0.003, hidden=128, policy_std=0.6, policy_std_end=0.3,
-            restart_interval=30, utility="log_rank", advantage_limit=5.0, design_correlation=0.5,
-            design_sigma=1.0, design_sigma_end=0.2, schedule_hold=0.4, direct_step=0.5, search="drift",
-            design_interval=2, proxy_pairs=1024, search_pairs=256, search_population=10, search_generations=6,
-            proxy_prefit=10, kappa=1.0, drift_clip=0.2, drift_ridge=1.0,
-        )  # fmt: skip
 
     @property
     def half_extents(self) -> np.ndarray:

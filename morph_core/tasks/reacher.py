@@ -209,6 +209,10 @@ class Reacher:
         return 2 if self.z == "tip" else 2 * LINKS
 
     @property
+    def initial_action(self) -> np.ndarray:
+        return np.zeros(LINKS)
+
+    @property
     def walls(self) -> Tunnel:
         return TUNNELS[self.tunnel]
 
