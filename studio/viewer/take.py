@@ -239,8 +239,8 @@ def _frame(task: Task) -> tuple[Corners, Corners]:
     model = task.scene(phi).compile()
     whole = Figure.from_model(model, _fill(model, _start(task, phi)))
     robot, objects, scenery = _split(whole, task.spec(phi).compile())
-    on_table = [name.startswith("table") for name in scenery.names]
-    table, around = scenery.take(np.flatnonzero(on_table)), scenery.take(np.flatnonzero(np.logical_not(on_table)))
+    tables = [i for i, name in enumerate(scenery.names) if name.startswith("table")]
+    table, around = scenery.take(tables), scenery.take([i for i in range(len(scenery)) if i not in tables])
     boxes = [figure.extent() for figure in (robot, objects, around) if len(figure)]
     low, high = np.min([box[0] for box in boxes], 0), np.max([box[1] for box in boxes], 0)
     if len(objects) and len(around):

@@ -75,6 +75,11 @@ def robot_of(frame: Frame) -> bytes:
     return bytes(frame.evaluate(script))
 
 
+def nodes_of(frame: Frame) -> list[str]:
+    """Return the names of what the browser's scene holds."""
+    return frame.evaluate("() => Object.keys(window.__viserSceneTree.getState())")
+
+
 def charts_of(frame: Frame) -> list[str]:
     """Return what each chart on screen has drawn."""
     return frame.evaluate("() => Array.from(document.querySelectorAll('.uplot canvas'), c => c.toDataURL())")
@@ -207,3 +212,31 @@ def test_a_restarted_server_finds_its_trainer_again(server: Server, page: Page) 
     wait_for("the pause", lambda: beat_of(run).status == "paused", 30)
     assert beat_of(run).pid == trainer
     assert [change.status for change in events_of(run, StateChanged)].count("starting") == 1
+
+
+def test_a_hand_plays_with_its_object_and_reads_finger_by_finger(server: Server, page: Page) -> None:
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    frame = open_studio(page, server)
+    tiny = {"trajectories": 8, "evaluation_interval": 1, "evaluation_episodes": 4, "minibatches": 1, "epochs": 1}
+    order = {"task": "pen_press", "method": "direct", "iterations": 2, "settings": tiny}
+    answer = page.request.post(f"http://127.0.0.1:{server.port}/api/runs", data=order)
+    assert answer.ok, answer.text()
+    run = server.only_run()
+    page.request.post(f"http://127.0.0.1:{server.port}/api/runs/{run.id}/show")
+    wait_for("the last evaluation", lambda: len(events_of(run, Evaluation)) == 2, 120)
+
+    # The numbers of a hand: each finger's change in its units, the milestones, and the rules of the run.
+    for words in ("finger 4", "pressed, sampled", "Design φ: length by finger"):
+        expect(frame.get_by_text(words, exact=True).first).to_be_attached()
+    for words in ("method direct", "last ten control steps"):
+        expect(frame.get_by_text(words).first).to_be_attached()
+
+    # The scene: hand, pen and table are there, and the pen is no part of what stands there as a ghost.
+    nodes = wait_for("the pen", lambda: (names := nodes_of(frame)) and "/objects/box" in names and names, 30)
+    assert {"/robot/cylinder", "/scenery/box", "/scenery/sphere", "/ghost/cylinder", "/ruler/lines"} <= set(nodes)
+    assert "/ghost/box" not in nodes
+    posture = robot_of(frame)
+    wait_for("a moving hand", lambda: robot_of(frame) != posture, 30)
+    assert [error for error in errors if "unsafe-eval" not in error] == []
