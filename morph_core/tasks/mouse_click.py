@@ -1,0 +1,84 @@
+"""Mouse-clicking: a hand of five fingers lifts a computer mouse and presses its left button."""
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from morph_core.tasks import palette
+from morph_core.tasks.grasp import OBJECT_FRICTION, GraspTask, add_button, add_free_body
+from morph_core.tasks.hand import OBJECT_CONTACT
+
+# Beside morph_core in a checkout and in site-packages alike; an import could find someone else's folder "assets".
+ASSETS = Path(__file__).parents[2] / "assets"
+PARTS = ("body", "left", "right")
+BUTTON_MIDDLE, BUTTON_HALF_SIZE = (0.33, 0.24, 0.2), (0.12, 0.16, 0.1)
+"""Of the mouse's length, width and height, from its middle: above the recess of its left front."""
+
+
+@dataclass(frozen=True)
+class MouseClick(GraspTask):
+    """A computer mouse, larger than the hand, with a sprung button at its left front corner.
+
+    Task: grasp the mouse, lift it and hold its button pressed while it is in the hand.
+    Randomised: position and heading of the mouse at the start.
+    Success: held, that is, the button pressed by a distal link while the mouse is in the hand, in at least half of the
+    last ten control steps. `grasp` says what in the hand means.
+    """
+
+    length: float = 0.50
+    """m."""
+    width: float = 0.34
+    """m."""
+    height: float = 0.09
+    """m."""
+    mass: float = 0.2
+    """kg."""
+    travel: float = 0.015
+    """m: of the button."""
+    stiffness: float = 60.0
+    """N/m: of the button's spring."""
+
+    name: ClassVar[str] = "mouse_click"
+    title: ClassVar[str] = "5-finger hand lifts a mouse and presses its button"
+    fingers: ClassVar[int] = 5
+
+    @property
+    def half_extents(self) -> np.ndarray:
+        return np.array([self.length, self.width, self.height]) / 2
+
+    @property
+    def button_travel(self) -> float:
+        return self.travel
+
+    def add_object(self, spec: mujoco.MjSpec) -> None:
+        size = 2 * self.half_extents
+        density = self.mass / (np.prod(size) * sum(_volume(*read_part(part)) for part in PARTS))
+        mouse = add_free_body(spec, self.height / 2)
+        for part in PARTS:
+            vertices, faces = read_part(part)
+            name = f"object_{part}"
+            mesh = spec.add_mesh(name=name, uservert=vertices.ravel(), userface=faces.ravel(), scale=size)
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
+            geom = mouse.add_geom(
+                name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, density=density, friction=OBJECT_FRICTION,
+                condim=4, rgba=palette.OBJECT,
+            )  # fmt: skip
+            geom.contype, geom.conaffinity = OBJECT_CONTACT
+        middle, half_size = (list(size * share) for share in (BUTTON_MIDDLE, BUTTON_HALF_SIZE))
+        add_button(mouse, middle, [0, 0, 1], half_size, self.travel, self.stiffness)
+
+
+@cache
+def read_part(part: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (V, 3), in the unit cube about the origin, and faces (F, 3) of a part of the mouse."""
+    rows = [line.split() for line in (ASSETS / f"mouse_{part}.obj").read_text().splitlines()]
+    vertices = np.array([row[1:] for row in rows if row[:1] == ["v"]], dtype=float)
+    return vertices, np.array([row[1:] for row in rows if row[:1] == ["f"]], dtype=np.int32) - 1
+
+
+def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    return float(np.linalg.det(vertices[faces]).sum() / 6)
