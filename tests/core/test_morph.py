@@ -19,6 +19,8 @@ from morph_core.train import METHODS
 from tests.core.conftest import Fragile
 
 TASK = make_task("reacher")
+PREFIT_PAIRS = 512
+"""Of each supervised step that fits the proxy before line 1."""
 
 
 def run(method: str, config: Config, iterations: int, state: State | None = None, seed: int = 0) -> list[Progress]:
@@ -132,8 +134,34 @@ def test_by_drift_the_proxy_is_paired_with_a_reference_and_settles_after_each_se
     assert second.search_cost is not None
     assert second.phi != TASK.design_space.initial.tolist()
     assert same_weights(proxy, reference)
-    taken = (config.drift_designs + 1) * config.search_pairs
-    assert state.relabelled_steps == state.env_steps + taken
+    searched = (config.drift_designs + 1) * config.search_pairs
+    assert state.relabelled_steps == config.proxy_prefit * PREFIT_PAIRS + state.env_steps + searched
+
+
+@pytest.mark.parametrize("method", ["morph", "direct"])
+def test_from_the_freeze_on_phi_stays_and_every_episode_runs_on_it(method: str, small: Config) -> None:
+    state = start(TASK, dataclasses.replace(small, freeze_iteration=3), 0)
+    progress = list(itertools.islice(METHODS[method](TASK, dataclasses.replace(small, freeze_iteration=3), state), 5))
+    assert progress[0].phi != progress[1].phi == progress[2].phi == progress[4].phi
+    assert [p.design_sigma for p in progress[2:]] == [0.0] * 3
+    assert state.explored is not None
+    assert (state.explored == state.phi).all()
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_a_policy_that_reaches_no_milestone_starts_afresh_and_phi_stays(method: str, small: Config) -> None:
+    task = make_task("pen_press", {"initial_length": 0.05})  # these fingers reach nothing
+    config = dataclasses.replace(small, proxy_prefit=1, proxy_pairs=64, design_interval=10, restart_interval=2)
+    state = start(task, config, 0)
+    iterations = METHODS[method](task, config, state)
+    next(iterations)
+    learnt = state.learner.policy
+    assert (state.control_start, state.last_reached) == (0, 0)
+    next(iterations)
+    assert state.learner.policy is not learnt
+    assert (state.control_start, state.last_reached) == (2, 2)
+    next(iterations)
+    assert all_finite(state)
 
 
 @pytest.mark.parametrize("method", sorted(METHODS))

@@ -58,10 +58,10 @@ def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path:
     assert episode["population"].shape == (min(SMALL.trajectories, 12), 5)
     assert not [name for name in episode if name.startswith("milestones/")]
     assert [e.milestones for e in history.evaluations] == [{}] * 3
+    fitted = SMALL.proxy_prefit * 512
     searched = SMALL.search_pairs * (SMALL.search_population * SMALL.search_generations + 2)  # start and find, again
-    assert [p.relabelled_steps for p in history.progress] == [
-        p.env_steps + p.iteration * searched for p in history.progress
-    ]
+    relabelled = [fitted + p.env_steps + p.iteration * searched for p in history.progress]
+    assert [p.relabelled_steps for p in history.progress] == relabelled
     assert np.allclose(sum(episode[k] for k in episode if k.startswith("reward_terms/")), episode["reward"])
     assert episode["phi"].tolist() == history.phi.tolist()
     assert [e.seq for e in history.events] == list(range(1, len(history.events) + 1))
