@@ -1,38 +1,80 @@
-"""The export panel: a design of the run as files for other tools."""
+"""The export panel: choose a design and formats, see what was checked, download; and go on from an exported design."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import viser
 
 from morph_core.history import History
+from studio.export.bundle import ALL_FORMATS, OPTIONAL_FORMATS, Bundle
 from studio.viewer import wording
 
 CHOICES = ("best", "latest", "iteration")
+HINTS = {
+    "mjcf": "MuJoCo: the robot, the robot with its task, and one .mjz that live.mujoco.org opens",
+    "urdf": "ROS, Isaac and others; servo gains in control.json",
+    "stl": "to print, one file for each part, mm",
+    "3mf": "to print, with names and quantities, mm",
+    "glb": "the assembly to look at, m",
+    "step": "for CAD programs; needs build123d and takes half a minute",
+}
+_PLACES = {
+    "mjcf": (".xml", ".mjz"), "urdf": (".urdf", "control.json"), "stl": (".stl",), "3mf": (".3mf",), "glb": (".glb",),
+    "step": (".step",),
+}  # fmt: skip
 
 
 class ExportPanel:
-    """`on_download` is asked for "best", "latest" or an iteration's number."""
+    """`on_export("best", "latest" or an iteration's number, formats)` builds and checks a bundle.
 
-    def __init__(self, gui: viser.GuiApi, *, on_download: Callable[[str, viser.ClientHandle | None], None]) -> None:
-        self._on_download = on_download
+    `on_import(content, client)` is handed the bytes of a design.json or of a bundle.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        *,
+        on_export: Callable[[str, Sequence[str]], Bundle],
+        on_import: Callable[[bytes, viser.ClientHandle | None], None],
+    ) -> None:
+        self._on_export = on_export
         self._history: History | None = None
+        self._bundle: Bundle | None = None
         self.note = gui.add_html("")
         self.design = gui.add_dropdown("design", CHOICES, initial_value="best")
         self.iteration = gui.add_number("iteration", 0, min=0, step=1, visible=False, hint="0 is the initial design")
-        self.download = gui.add_button("Download", icon=viser.Icon.DOWNLOAD, color="green")
+        self.formats_folder = gui.add_folder("Formats")
+        with self.formats_folder:
+            self.formats = {
+                name: gui.add_checkbox(name, name not in OPTIONAL_FORMATS, hint=HINTS[name]) for name in ALL_FORMATS
+            }
+        self.check = gui.add_button("Check and prepare", icon=viser.Icon.CHECKLIST, color="blue")
         self.notice = gui.add_html("", visible=False)
+        self.result = gui.add_html("", visible=False)
+        self.download = gui.add_button("Download", icon=viser.Icon.DOWNLOAD, color="green", visible=False)
+        self.bring = gui.add_upload_button(
+            "Go on from a design…", icon=viser.Icon.UPLOAD, mime_type="application/json,application/zip",
+            hint="A design.json, or an exported zip: the run goes on from it",
+        )  # fmt: skip
         self.design.on_update(lambda _: self._choose())
-        self.download.on_click(lambda event: self.submit(event.client))
+        self.iteration.on_update(lambda _: self._choose())
+        for box in self.formats.values():
+            box.on_update(lambda _: self._choose())
+        self.check.on_click(lambda _: self.submit())
+        self.download.on_click(lambda event: self.send(event.client))
+        self.bring.on_upload(lambda event: on_import(event.target.value.content, event.client))
         self.clear()
 
     def clear(self) -> None:
         """Show no run."""
         self._history = None
+        self._forget()
         self._show(False)
         self.note.content = wording.paragraph(wording.dim("no data yet: press Start"))
 
     def update(self, history: History) -> None:
         """Offer the designs of a run."""
+        if self._history is None or self._history.folder.id != history.folder.id:
+            self._forget()
         self._history = history
         self._show(True)
         best = history.best
@@ -53,30 +95,61 @@ class ExportPanel:
         self._history.design(which)
         return which
 
-    def submit(self, client: viser.ClientHandle | None) -> None:
+    def submit(self) -> None:
+        """Build the bundle, and show what is in it and what was compared."""
+        self._forget()
         try:
             which = self.which()
         except ValueError as error:
             self.tell(str(error))
             return
-        self.tell("building the files…", wording.BLUE)
-        self.download.disabled = True
+        self.tell("building the files and comparing them…", wording.BLUE)
+        self.check.disabled = True
         try:
-            self._on_download(which, client)
+            bundle = self._on_export(which, [name for name, box in self.formats.items() if box.value])
         except (ValueError, OSError) as error:
             self.tell(str(error))
         else:
             self.tell(None)
+            self._offer(bundle)
         finally:
-            self.download.disabled = False
+            self.check.disabled = False
+
+    def send(self, client: viser.ClientHandle | None) -> None:
+        """Hand the prepared bundle to the browser that asked for it."""
+        if self._bundle is not None and client is not None:
+            client.send_file_download(self._bundle.name, self._bundle.content, save_immediately=True)
 
     def tell(self, sentence: str | None, colour: str = wording.RED) -> None:
         self.notice.visible = sentence is not None
         self.notice.content = wording.alert(sentence, colour) if sentence else ""
 
+    def _offer(self, bundle: Bundle) -> None:
+        self._bundle = bundle
+        lines = []
+        for name, box in self.formats.items():
+            sizes = [len(content) for path, content in bundle.files.items() if path.endswith(_PLACES[name])]
+            if box.value and sizes:
+                lines.append((f"✓ {name}, {len(sizes)} files", wording.size(sum(sizes))))
+        policy = [len(content) for path, content in bundle.files.items() if "policy" in path]
+        if policy:
+            lines.append(("✓ policy and its program", wording.size(sum(policy))))
+        agreed = f'<span style="color:{wording.GREEN};font-weight:600">✓ {len(bundle.checks)} comparisons agree</span>'
+        hint = wording.dim("watch the .mjz: drop it on live.mujoco.org") if self.formats["mjcf"].value else ""
+        self.result.content = wording.rows(lines) + wording.paragraph(f"{agreed}<br>{hint}")
+        self.result.visible = True
+        self.download.label = f"Download {wording.size(len(bundle.content))}"
+        self.download.visible = True
+
+    def _forget(self) -> None:
+        """Drop a bundle that is not what is chosen any more."""
+        self._bundle = None
+        self.result.visible = self.download.visible = False
+
     def _choose(self) -> None:
+        self._forget()
         self.iteration.visible = self.design.visible and self.design.value == "iteration"
 
     def _show(self, visible: bool) -> None:
-        self.design.visible = self.download.visible = visible
-        self._choose()
+        self.design.visible = self.check.visible = self.formats_folder.visible = self.bring.visible = visible
+        self.iteration.visible = visible and self.design.value == "iteration"

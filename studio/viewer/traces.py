@@ -85,7 +85,7 @@ def _traces_of(history: History) -> dict[int, Trace]:
             colours=_colours(quantities),
         ),
         50: Trace(
-            "Proxy against Hw-Phy", f"squared distance{_unit_of_divergence(history)}",
+            "Proxy against Hw-Phy: mean squared distance", _unit_of_divergence(history),
             ("divergence of the proxy", "search cost"), _divergences, "not measured so far by this method",
             logarithmic=True, colours=("#8a6be0", "#c9a400"),
         ),
@@ -108,12 +108,12 @@ def _phi_trace(quantity: Quantity, single: bool) -> Trace:
 
 
 def _unit_of_divergence(history: History) -> str:
-    """Return the unit in brackets; z without a single unit is measured in typical changes of each component."""
+    """Return the unit in brackets; z without a single unit is measured in typical steps of each component."""
     try:
         unit = make_task(history.record.task, history.record.task_options).z_unit
     except (ValueError, TypeError):  # a task of another version
         return ""
-    return f" [{unit}²]" if unit else " [typical²]"
+    return f"[{unit}²]" if unit else "[typical step²]"
 
 
 def _returns(history: History) -> Curves:
@@ -136,8 +136,11 @@ def _cosines(history: History) -> Curves:
 
 
 def _divergences(history: History) -> Curves:
-    x, *distances = _columns(history.progress, "iteration", "divergence", "search_cost")
-    return x, *(np.where(d > 0, d, np.nan) for d in distances)
+    """Return both distances without zeros, which a logarithmic axis can't show; a cost stays until the next search."""
+    x, *columns = _columns(history.progress, "iteration", "divergence", "search_cost")
+    divergence, cost = (np.where(d > 0, d, np.nan) for d in columns)
+    latest = np.maximum.accumulate(np.where(np.isfinite(cost), np.arange(len(cost)), -1))
+    return x, divergence, np.where(latest >= 0, cost[latest], np.nan)
 
 
 def _columns(rows: Sequence[object], *names: str) -> Curves:

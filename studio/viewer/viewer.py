@@ -11,6 +11,8 @@ import viser
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, InjectDesign, Status
 from morph_core.tasks import make_task
+from studio.export.bundle import Bundle
+from studio.export.design_file import phi_for, read_design
 from studio.viewer import wording
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
@@ -34,7 +36,7 @@ class Viewer:
     """Builds its panels once on a viser server; `show` is then called a few times a second with fresh histories.
 
     `on_command(run_id, command)`, `on_start(request)` -> run id, `on_resume(run_id)` and
-    `on_export(run_id, which)` -> (file name, zip) refuse by ValueError with a sentence, which is shown.
+    `on_export(run_id, which, formats)` refuse by ValueError with a sentence, which is shown.
     """
 
     def __init__(
@@ -44,7 +46,7 @@ class Viewer:
         on_command: Callable[[str, AnyCommand], None],
         on_start: Callable[[StartRequest], str],
         on_resume: Callable[[str], None],
-        on_export: Callable[[str, str], tuple[str, bytes]],
+        on_export: Callable[[str, str, Sequence[str]], Bundle],
     ) -> None:
         self._server = server
         self._on_command = on_command
@@ -72,7 +74,7 @@ class Viewer:
         with self.tabs.add_tab("Run", viser.Icon.ACTIVITY):
             self.run = RunPanel(gui, send=self._send, on_resume=self._resume)
         with self.tabs.add_tab("Export", viser.Icon.DOWNLOAD):
-            self.export = ExportPanel(gui, on_download=self._download)
+            self.export = ExportPanel(gui, on_export=self._export, on_import=self._import)
         left = gui.add_panel()
         left.dock_left()
         left.set_width(390)
@@ -169,13 +171,22 @@ class Viewer:
     def _inject(self, phi: Callable[[], list[float]], client: viser.ClientHandle | None) -> None:
         self._send(lambda: [InjectDesign(phi())], client)
 
-    def _download(self, which: str, client: viser.ClientHandle | None) -> None:
+    def _export(self, which: str, formats: Sequence[str]) -> Bundle:
         run_id = self._selected
         if run_id is None:
             raise ValueError("there is no run to export from: start or choose one")
-        name, content = self._on_export(run_id, which)
-        if client is not None:
-            client.send_file_download(name, content, save_immediately=True)
+        return self._on_export(run_id, which, formats)
+
+    def _import(self, content: bytes, client: viser.ClientHandle | None) -> None:
+        history = self._histories.get(self._selected or "")
+
+        def command() -> list[AnyCommand]:
+            if history is None:
+                raise ValueError("there is no run that could go on from it: start or choose one")
+            phi = phi_for(read_design(content), history.record.task, history.design_space)
+            return [InjectDesign(phi.tolist())]
+
+        self._send(command, client)
 
     def _choose(self, client: viser.ClientHandle | None) -> None:
         chosen = self.chooser.value

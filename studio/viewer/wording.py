@@ -70,6 +70,11 @@ def alert(sentence: str, colour: str = RED) -> str:
     )
 
 
+def size(count: int) -> str:
+    """Return a number of bytes as people say it."""
+    return f"{count / 1000:.0f} kB" if count < 1e6 else f"{count / 1e6:.1f} MB"
+
+
 def rows(cells: list[tuple[str, str]]) -> str:
     """Return names on the left and their values on the right, as HTML."""
     lines = "".join(

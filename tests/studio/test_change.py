@@ -165,7 +165,19 @@ def test_charts_are_made_anew_for_a_run_of_another_robot(page: Page, folder: Run
 
 def test_the_divergence_is_in_the_units_of_z(folder: RunFolder, tmp_path: Path) -> None:
     axes = [_traces_of(history)[50].axis for history in (History(make_run(tmp_path / "reacher")), History(folder))]
-    assert axes == ["squared distance [m²]", "squared distance [typical²]"]
+    assert axes == ["[m²]", "[typical step²]"]
+
+
+def test_the_cost_of_a_search_stays_until_the_next_one(folder: RunFolder) -> None:
+    history = History(folder)
+    costs = [None, 0.5, None, 0.25, None]
+    history.progress = [
+        msgspec.structs.replace(history.progress[0], iteration=i, divergence=1.0, search_cost=cost)
+        for i, cost in enumerate(costs)
+    ]
+    _, divergence, cost = _traces_of(history)[50].curves(history)
+    np.testing.assert_array_equal(divergence, np.ones(5))
+    np.testing.assert_array_equal(cost, [np.nan, 0.5, 0.5, 0.25, 0.25])
 
 
 def test_bounds_that_the_browser_rounded_are_no_edits(page: Page, folder: RunFolder) -> None:

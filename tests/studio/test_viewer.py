@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 import viser
-from conftest import NAME, Page, eventually, make_run
+from conftest import NAME, Page, design_of, eventually, make_run
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
@@ -184,7 +184,7 @@ def test_charts_are_never_given_empty_arrays_and_wait_for_their_first_value(page
     shares = page.viewer.traces.charts["Agreement by design parameter"].data
     assert shares[1][0] == -0.5
     assert np.isnan(shares[2]).all()
-    distances = page.viewer.traces.charts["Proxy against Hw-Phy"].data
+    distances = page.viewer.traces.charts["Proxy against Hw-Phy: mean squared distance"].data
     assert np.isnan(distances[1][1])  # no zero on a logarithmic axis
 
 
@@ -528,17 +528,48 @@ def test_values_from_the_wire_beyond_their_slider_are_refused(
 # --- export ---
 
 
-def test_the_chosen_design_is_exported_and_sent_to_nobody_else(page: Page, folder: RunFolder) -> None:
+def test_the_chosen_design_is_exported_in_the_chosen_formats(page: Page, folder: RunFolder) -> None:
     page.show(folder)
     export = page.viewer.export
+    assert not export.download.visible
     for which in ("best", "latest"):
         export.design.value = which
-        export.submit(None)
+        export.submit()
     export.design.value, export.iteration.value = "iteration", 2
     assert export.iteration.visible
-    export.submit(None)
-    assert page.exported == [(NAME, "best"), (NAME, "latest"), (NAME, "2")]
+    for name in ("mjcf", "3mf", "glb"):
+        export.formats[name].value = False
+    export.submit()
+    everything = ["mjcf", "urdf", "stl", "3mf", "glb"]
+    assert page.exported == [
+        (NAME, "best", everything), (NAME, "latest", everything), (NAME, "2", ["urdf", "stl"]),
+    ]  # fmt: skip
     assert not export.notice.visible
+
+
+def test_what_was_compared_is_shown_and_a_change_of_mind_takes_it_away(page: Page, folder: RunFolder) -> None:
+    page.show(folder)
+    export = page.viewer.export
+    export.submit()
+    assert "1 comparisons agree" in export.result.content
+    assert "mjcf" in export.result.content
+    assert "0 kB" in export.download.label
+    assert export.download.visible
+    export.formats["stl"].value = False
+    assert not export.download.visible
+    assert not export.result.visible
+
+
+def test_a_design_that_is_brought_along_is_injected(page: Page, folder: RunFolder) -> None:
+    history = page.show(folder)
+    design = design_of(history, [1.0, 2.0, 3.0, 2.0, 1.0])
+    page.viewer._import(msgspec.json.encode(design), None)
+    assert page.commands == [(NAME, InjectDesign([1.0, 2.0, 3.0, 2.0, 1.0]))]
+    page.viewer._import(msgspec.json.encode(msgspec.structs.replace(design, task="pen_press")), None)
+    assert "design for pen_press, not for reacher" in page.viewer.notice.content
+    page.viewer._import(b"<mujoco/>", None)
+    assert "no design.json" in page.viewer.notice.content
+    assert len(page.commands) == 1
 
 
 @pytest.mark.parametrize(("which", "iteration"), [("iteration", 99), ("iteration", -1), ("finest", 0)])
@@ -546,7 +577,7 @@ def test_a_design_that_is_not_there_is_not_exported(page: Page, folder: RunFolde
     page.show(folder)
     page.viewer.export.design._impl.value = which
     page.viewer.export.iteration.value = iteration
-    page.viewer.export.submit(None)
+    page.viewer.export.submit()
     assert page.exported == []
     assert "choose" in page.viewer.export.notice.content
 
@@ -554,6 +585,7 @@ def test_a_design_that_is_not_there_is_not_exported(page: Page, folder: RunFolde
 def test_an_export_that_is_refused_says_why(page: Page, folder: RunFolder) -> None:
     page.show(folder)
     page.refusal = "the files don't agree"
-    page.viewer.export.submit(None)
+    page.viewer.export.submit()
     assert "the files don&#x27;t agree" in page.viewer.export.notice.content
-    assert not page.viewer.export.download.disabled
+    assert not page.viewer.export.check.disabled
+    assert not page.viewer.export.download.visible
