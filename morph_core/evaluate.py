@@ -11,19 +11,25 @@ import torch
 
 from morph_core.checkpoint import load_checkpoint
 from morph_core.config import config_from
+from morph_core.design import DesignSpace
 from morph_core.episodes import evaluate
 from morph_core.history import History
 from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.tasks import make_task
 
 
-def evaluate_run(folder: RunFolder, which: str, episodes: int, seed: int = 0) -> dict[str, object]:
+def evaluate_run(
+    folder: RunFolder, which: str, episodes: int, seed: int = 0, other_phi: list[float] | None = None
+) -> dict[str, object]:
     """Return success and return of design `which` with the policy of the newest checkpoint up to its iteration.
 
-    Raise RunFolderError where there is no such design or policy.
+    `other_phi` takes the design's place. Raise RunFolderError where there is no such design or policy, ValueError
+    where `other_phi` is outside the run's box.
     """
     history = History(folder)
     iteration, phi = history.design(which)
+    if other_phi is not None:
+        phi = DesignSpace(tuple(history.record.parameters)).check(other_phi)
     saved = [i for i in folder.checkpoint_iterations() if i <= iteration]
     if not saved:
         raise RunFolderError(f"{folder.id} has no checkpoint up to iteration {iteration}: no policy to evaluate")
@@ -54,13 +60,16 @@ def main() -> int:
     parser.add_argument("--design", default="best", help="best, latest or an iteration")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--phi", type=json.loads, help="a JSON list: another design in its place")
     options = parser.parse_args()
     if options.episodes < 1:
         parser.error(f"--episodes must be at least 1, not {options.episodes}")
     torch.set_num_threads(1)
     try:
-        result = evaluate_run(RunFolder(options.run.resolve()), options.design, options.episodes, options.seed)
-    except RunFolderError as error:
+        result = evaluate_run(
+            RunFolder(options.run.resolve()), options.design, options.episodes, options.seed, options.phi
+        )
+    except (RunFolderError, ValueError, TypeError) as error:
         print(f"morph_core.evaluate: {error}", file=sys.stderr)  # noqa: T201 - a process entry
         return 2
     print(json.dumps(result))  # noqa: T201

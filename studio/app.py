@@ -7,7 +7,7 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Protocol
@@ -24,14 +24,14 @@ from starlette.types import ASGIApp
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, Status
 from morph_core.run_folder import RunFolderError
-from studio.api.designs import designs_router
+from studio.api.designs import designs_router, imports_router
 from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.runs import runs_router
 from studio.api.tasks import tasks_router
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
-from studio.export.bundle import FORMATS, build_bundle
+from studio.export.bundle import Bundle, build_bundle
 from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
@@ -81,15 +81,10 @@ def make_viewer(server: viser.ViserServer, runs: Runs) -> Shows:
             task_options=wish.task_options,
         )
 
-    def on_export(run_id: str, which: str) -> tuple[str, bytes]:
-        return build_bundle(runs.get(run_id), which, FORMATS)
+    def on_export(run_id: str, which: str, formats: Sequence[str] | None) -> Bundle:
+        return build_bundle(runs.get(run_id), which, formats)
 
     return Viewer(server, on_command=on_command, on_start=on_start, on_resume=runs.resume, on_export=on_export)
-
-
-def export_bundle(history: History, which: str, formats: list[str] | None) -> tuple[str, bytes]:
-    """Return the zip of a design, in all formats unless some are named."""
-    return build_bundle(history, which, formats or FORMATS)
 
 
 def create_app(
@@ -136,7 +131,8 @@ def create_app(
     for router in (
         tasks_router(),
         runs_router(watched),
-        designs_router(watched, export_bundle),
+        designs_router(watched, build_bundle),
+        imports_router(watched),
         events_router(watched, stopping),
         viewer_router(),
         docs_router(),

@@ -3,16 +3,42 @@
 from collections.abc import Callable
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Response
+import anyio.to_thread
+from fastapi import APIRouter, Query, Request, Response
 
 from morph_core.history import History
+from morph_core.protocol import InjectDesign
 from morph_core.run_folder import RunFolderError
-from studio.api.messages import Design, Designs, Metrics, gives, gives_file, reply
+from morph_core.tasks import make_task
+from studio.api.messages import (
+    Accepted,
+    Checked,
+    Comparison,
+    Design,
+    Designs,
+    ExportedFile,
+    Metrics,
+    RunState,
+    gives,
+    gives_file,
+    reply,
+)
+from studio.api.runs import state_of
+from studio.export.bundle import Bundle
+from studio.export.design_file import phi_for, read_design, starting_from
 from studio.runs import Runs
 
 MAX_ROLLOUT = 256 << 20
-Export = Callable[[History, str, list[str] | None], tuple[str, bytes]]
-"""(run, which design, formats or None for all) -> (file name, zip)."""
+Formats = Annotated[list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step; repeated or with commas")]
+_FILE = {"schema": {"type": "string", "format": "binary"}}
+_DESIGN_BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/json": {"schema": {"type": "object"}}, "application/zip": _FILE},
+    }
+}
+Export = Callable[[History, str, list[str] | None], Bundle]
+"""(run, which design, formats or None for all)."""
 
 
 def designs_of(history: History) -> Designs:
@@ -41,6 +67,11 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
     """Return the routes about what a run has produced."""
     router = APIRouter(prefix="/api/runs/{run_id}", tags=["designs"])
 
+    def exported(run_id: str, which: str, formats: list[str] | None) -> Bundle:
+        history = runs.get(run_id)
+        history.design(which)  # an unknown one is a 404, not a failed export
+        return export(history, which, [name for part in formats for name in part.split(",")] if formats else None)
+
     @router.get("/metrics", responses=gives(Metrics), summary="Traces: one entry per iteration and per evaluation")
     def metrics(run_id: str) -> Response:
         history = runs.get(run_id)
@@ -63,19 +94,71 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
     @router.get(
         "/designs/{which}/export",
         response_class=Response,
-        responses=gives_file("application/zip", "MJCF, URDF and provenance of one design"),
+        responses=gives_file("application/zip", "One design for simulators, printers and people"),
         summary="Download a design: best, latest or an iteration",
     )
-    def export_design(
-        run_id: str,
-        which: str,
-        formats: Annotated[list[str] | None, Query(description="mjcf, urdf; repeated or with commas")] = None,
-    ) -> Response:
-        history = runs.get(run_id)
-        history.design(which)  # an unknown one is a 404, not a failed export
-        chosen = [name for part in formats for name in part.split(",")] if formats else None
-        name, content = export(history, which, chosen)
-        return _download(name, content, "application/zip")
+    def export_design(run_id: str, which: str, formats: Formats = None) -> Response:
+        bundle = exported(run_id, which, formats)
+        return _download(bundle.name, bundle.content, "application/zip")
+
+    @router.get(
+        "/designs/{which}/export/checks",
+        responses=gives(Checked),
+        summary="What an export would hold, and what was compared; it is refused if anything disagrees",
+    )
+    def check_design(run_id: str, which: str, formats: Formats = None) -> Response:
+        bundle = exported(run_id, which, formats)
+        files = [ExportedFile(path, len(content)) for path, content in sorted(bundle.files.items())]
+        checks = [Comparison(c.name, c.passed, c.worst, c.allowed, c.detail) for c in bundle.checks]
+        return reply(Checked(bundle.name, len(bundle.content), files, checks))
+
+    @router.post(
+        "/designs",
+        status_code=202,
+        openapi_extra=_DESIGN_BODY,
+        responses=gives(Accepted, 202),
+        summary="Hand a design.json, or the one in a bundle, to a running run, which goes on from it",
+    )
+    async def inject(run_id: str, request: Request) -> Response:
+        content = await request.body()
+
+        def send() -> int:
+            history = runs.get(run_id)
+            phi = phi_for(read_design(content), history.record.task, history.design_space)
+            return runs.send(run_id, InjectDesign(phi.tolist()))
+
+        return reply(Accepted(await anyio.to_thread.run_sync(send)), 202)
+
+    return router
+
+
+def imports_router(runs: Runs) -> APIRouter:
+    """Return the route that starts a run from a design."""
+    router = APIRouter(prefix="/api/designs", tags=["designs"])
+
+    @router.post(
+        "",
+        status_code=201,
+        openapi_extra=_DESIGN_BODY,
+        responses=gives(RunState, 201),
+        summary="Start a run from a design.json, or from the one in a bundle",
+    )
+    async def start(request: Request, method: str = "morph", seed: int = 0, iterations: int = 100) -> Response:
+        content = await request.body()
+
+        def begin() -> RunState:
+            design = read_design(content)
+            try:
+                space = make_task(design.task, design.task_options).design_space
+            except TypeError as error:
+                raise ValueError(f"an option of {design.task[:40]} has the wrong type: {error}") from error
+            run_id = runs.start(
+                task=design.task, task_options=design.task_options, method=method, seed=seed, iterations=iterations,
+                parameters=starting_from(design, space),
+            )  # fmt: skip
+            return state_of(runs, run_id)
+
+        return reply(await anyio.to_thread.run_sync(begin), 201)
 
     return router
 

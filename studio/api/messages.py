@@ -108,6 +108,32 @@ class Designs(msgspec.Struct, frozen=True):
     designs: list[Design]
 
 
+class ExportedFile(msgspec.Struct, frozen=True):
+    """One file of an export; `size` in bytes, before it is packed."""
+
+    path: str
+    size: int
+
+
+class Comparison(msgspec.Struct, frozen=True):
+    """One line of the proof that the files are one robot: the largest difference found, and what is allowed."""
+
+    name: str
+    passed: bool
+    worst: float
+    allowed: float
+    detail: str
+
+
+class Checked(msgspec.Struct, frozen=True):
+    """An export that has passed its checks; `size` in bytes, of the zip."""
+
+    name: str
+    size: int
+    files: list[ExportedFile]
+    checks: list[Comparison]
+
+
 class Health(msgspec.Struct, frozen=True):
     """`boot` changes with every start of the server."""
 
@@ -143,7 +169,8 @@ def reply(message: object, status: int = 200) -> Response:
 
 
 _KINDS = (
-    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, Metrics, Designs, Health, Refusal, AnyCommand, AnyEvent,
+    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, Metrics, Designs, Checked, Health, Refusal, AnyCommand,
+    AnyEvent,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

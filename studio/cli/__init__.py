@@ -1,4 +1,4 @@
-"""The command line `morph-studio`: serve, train, runs, evaluate, export."""
+"""The command line `morph-studio`: serve, train, runs, evaluate, export, verify, import."""
 
 import importlib
 import os
@@ -12,8 +12,11 @@ COMMANDS = {
     "train": "co-optimise body and controller without a browser, or go on with a run",
     "runs": "list the runs of a folder",
     "evaluate": "measure success and return of a design on Hw-Phy",
-    "export": "write a design as MJCF and URDF that agree with each other",
+    "export": "write a design for simulators, printers and people",
+    "verify": "check that what an export holds is one robot, and that its policy works",
+    "import": "read a design and go on from it: in a running run, or in a new one",
 }
+_MODULES = {"import": "import_design"}
 HELP = """\
 usage: morph-studio COMMAND ...
 
@@ -48,7 +51,7 @@ def run(words: Sequence[str]) -> int:
     try:
         if command not in COMMANDS:
             raise UsageError(f'unknown command "{command[:40]}"; choose from: {", ".join(COMMANDS)}')
-        return importlib.import_module(f"studio.cli.{command}").main(rest)
+        return importlib.import_module(f"studio.cli.{_MODULES.get(command, command)}").main(rest)
     except UsageError as error:
         print(f"morph-studio: {error}", file=sys.stderr)  # noqa: T201
         return 2

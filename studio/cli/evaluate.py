@@ -7,10 +7,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 import morph_core
+from morph_core.design import DesignSpace
+from morph_core.history import History
 from studio.cli.arguments import Count, RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import check_design, open_run
 from studio.cli.export import DesignName
@@ -24,6 +27,8 @@ class EvaluateArguments(RunsArguments):
     """Name of a run, or the path of its folder."""
     design: DesignName = "best"
     """Which design: the best evaluated one, the latest one, or that of an iteration."""
+    phi_from: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Another design in its place, with the same policy: a design.json, or an export that holds one."""
     episodes: Count = 100
     """Episodes for the sampled policy, and as many for the deterministic one."""
     json: bool = False
@@ -36,7 +41,8 @@ def main(words: Sequence[str]) -> int:
         raise UsageError(f"evaluate: --episodes must be at least 1, not {arguments.episodes}")
     history = open_run(arguments.runs, arguments.run)
     check_design(history, arguments.design)
-    done = _evaluate(history.folder.path, arguments.design, arguments.episodes)
+    phi = _imported(history, arguments.phi_from) if arguments.phi_from else None
+    done = _evaluate(history.folder.path, arguments.design, arguments.episodes, phi)
     if done.returncode:
         reason = done.stderr.strip().splitlines()[-1:] or [f"it ended with {done.returncode}"]
         print(f"morph-studio: {reason[0].removeprefix('morph_core.')}", file=sys.stderr)  # noqa: T201
@@ -48,13 +54,24 @@ def main(words: Sequence[str]) -> int:
     return 0
 
 
-def _evaluate(folder: Path, design: str, episodes: int) -> subprocess.CompletedProcess[str]:
+def _imported(history: History, path: Path) -> list[float]:
+    from studio.export.design_file import load_design, phi_for
+    from studio.export.errors import ExportError
+
+    try:
+        space = DesignSpace(tuple(history.record.parameters))
+        return phi_for(load_design(path), history.record.task, space).tolist()
+    except ExportError as error:
+        raise UsageError(f"evaluate: {error}") from error
+
+
+def _evaluate(folder: Path, design: str, episodes: int, phi: list[float] | None) -> subprocess.CompletedProcess[str]:
     """Run the evaluation in a process of its own: it needs torch, this one does not."""
     code = str(Path(morph_core.__file__).resolve().parents[1])
     path = os.pathsep.join(p for p in (code, os.environ.get("PYTHONPATH")) if p)
     return subprocess.run(
         [sys.executable, "-P", "-m", "morph_core.evaluate", "--run", str(folder.resolve()), "--design", design,
-         "--episodes", str(episodes)],
+         "--episodes", str(episodes), *(["--phi", json.dumps(phi)] if phi else [])],
         capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}, check=False,
     )  # fmt: skip
 

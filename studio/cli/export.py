@@ -1,4 +1,4 @@
-"""`morph-studio export`: write a design as MJCF and URDF that agree with each other."""
+"""`morph-studio export`: write a design for simulators, printers and people; checked before it is written."""
 
 import sys
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ DesignName = Annotated[str, tyro.conf.arg(metavar="best|latest|ITERATION")]
 
 @dataclass(frozen=True)
 class ExportArguments(RunsArguments):
-    """Write a design as MJCF and URDF, with where it comes from; the files are read back and compared first."""
+    """Write a design for simulators, printers and people; the files are read back and compared first."""
 
     run: tyro.conf.Positional[RunName] = tyro.MISSING
     """Name of a run, or the path of its folder."""
@@ -24,24 +24,26 @@ class ExportArguments(RunsArguments):
     """Which design: the best evaluated one, the latest one, or that of an iteration (0 is the initial one)."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="PATH.zip|DIR")] = None
     """Where to; without it into the exports of the run."""
-    formats: Annotated[tuple[str, ...], tyro.conf.arg(metavar="mjcf|urdf")] = ("mjcf", "urdf")
-    """What to write; stl, 3mf and glb are to come."""
+    formats: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="mjcf|urdf|stl|3mf|glb|step")] = None
+    """What to write; all but step, which needs build123d, unless some are named."""
 
 
 def main(words: Sequence[str]) -> int:
     arguments = parse(ExportArguments, words, "export")
-    from studio.export.bundle import bundle_name, check_formats, write_bundle
+    from studio.export.bundle import build_bundle, bundle_name, check_formats, task_of
     from studio.export.errors import ExportError
+    from studio.export.place import write_bundle
 
     history = open_run(arguments.runs, arguments.run)
     check_design(history, arguments.design)
-    try:
-        check_formats(arguments.formats)
-    except ExportError as error:
-        raise UsageError(f"export: {error}") from error
+    if arguments.formats is not None:
+        try:
+            check_formats(arguments.formats, task_of(history))
+        except ExportError as error:
+            raise UsageError(f"export: {error}") from error
     out = arguments.out or history.folder.exports / bundle_name(history, arguments.design)
     try:
-        written = write_bundle(history, arguments.design, out, arguments.formats)
+        written = write_bundle(build_bundle(history, arguments.design, arguments.formats), out)
     except ExportError as error:
         print(f"morph-studio: export: {error}", file=sys.stderr)  # noqa: T201
         return 1

@@ -1,14 +1,9 @@
-"""The chosen design as one zip or folder: MJCF, URDF, the design's numbers and where they come from."""
+"""The chosen design as one zip or folder: what other tools read, the numbers behind it, and where they come from."""
 
-import contextlib
-import io
 import json
-import os
 import re
-import shutil
-import tempfile
-import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -16,85 +11,197 @@ import mujoco
 import numpy as np
 
 from morph_core.history import History
+from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
+from morph_core.task import Task
 from morph_core.tasks import make_task
+from morph_core.tasks.grasp import GraspTask
+from studio.export.archive import zipped
+from studio.export.check import Check
+from studio.export.control import control_settings
+from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
+from studio.export.meshes import glb, start_posture, stl, three_mf
 from studio.export.mjcf import write_mjcf
-from studio.export.provenance import KIND, Provenance, design_space_at, provenance_of
+from studio.export.parts import BASE, MILLIMETRE, Part, dress, printed_parts
+from studio.export.picture import picture
+from studio.export.policy import Policy, Score, policy_at, policy_files
+from studio.export.proof import PROVENANCE, prove_policy, prove_robot
+from studio.export.provenance import design_space_at, provenance_of
+from studio.export.report import bill_of_materials, report
+from studio.export.step import step_files
 from studio.export.urdf import write_urdf
-from studio.export.verify import verify
 
-FORMATS = ("mjcf", "urdf")
-PLANNED_FORMATS = ("stl", "3mf", "glb")
-_FIXED_TIME = (1980, 1, 1, 0, 0, 0)
-_README = """\
-MJCF: mujoco.MjModel.from_xml_path("robot.xml"), or scene.xml for the robot with obstacles and goal.
-URDF: yourdfpy.URDF.load("robot.urdf"), or any other reader; effort or velocity 1e6 means that the task sets no limit.
-"""
+FORMATS = ("mjcf", "urdf", "stl", "3mf", "glb")
+OPTIONAL_FORMATS = ("step",)
+"""Only where it is asked for: it needs build123d and takes long."""
+ALL_FORMATS = (*FORMATS, *OPTIONAL_FORMATS)
+PRINTED_FORMATS = ("stl", "3mf", "glb", "step")
+"""Need parts."""
+EPISODES = 32
+"""For the policy's success on the exported files: three seconds are all that an export may take."""
+_SHIPPED = Path(__file__).parent / "shipped"
 
 
-def build_bundle(history: History, which: str, formats: Sequence[str] = FORMATS) -> tuple[str, bytes]:
-    """Return (file name, zip) of the design `which`: "best", "latest" or an iteration.
+@dataclass(frozen=True)
+class Bundle:
+    """An export that has been checked."""
+
+    name: str
+    """Of the zip."""
+    files: Mapping[str, bytes]
+    checks: Sequence[Check]
+    content: bytes
+    """The zip."""
+
+
+def build_bundle(history: History, which: str, formats: Sequence[str] | None = None) -> Bundle:
+    """Return the design `which`: "best", "latest" or an iteration.
 
     The files are read back and compared with the simulated robot first. Raise ExportError with what disagrees, or
     with what is allowed.
     """
-    name = bundle_name(history, which)
-    files = build_files(history, which, formats)
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path, content in sorted(files.items()):
-            entry = zipfile.ZipInfo(path, _FIXED_TIME)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.external_attr = 0o644 << 16
-            archive.writestr(entry, content)
-    return name, buffer.getvalue()
+    files, checks = _build(history, which, formats)
+    return Bundle(bundle_name(history, which), files, checks, zipped(dict(sorted(files.items()))))
 
 
-def write_bundle(history: History, which: str, out: Path, formats: Sequence[str] = FORMATS) -> Path:
-    """Write the export to `out`, a path that ends in .zip or a folder; it appears whole or not at all.
-
-    An earlier export is replaced; ExportError if anything else is in the way.
-    """
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        if out.suffix.lower() == ".zip" and not out.is_dir():
-            _replace_file(out, build_bundle(history, which, formats)[1])
-        else:
-            _check_replaceable(out)
-            _replace_folder(out, build_files(history, which, formats))
-    except OSError as error:
-        raise ExportError(f"can't write {out}: {error.strerror or error}") from error
-    return out
+def default_formats(task: Task) -> tuple[str, ...]:
+    """Return what is exported unless it is said otherwise."""
+    return FORMATS if printable(task) else tuple(f for f in FORMATS if f not in PRINTED_FORMATS)
 
 
-def build_files(history: History, which: str, formats: Sequence[str] = FORMATS) -> dict[str, bytes]:
-    """Return the exported files by their path."""
-    check_formats(formats)
+def printable(task: Task) -> bool:
+    """Tell whether there are printable parts for the task's robots."""
+    return isinstance(task, GraspTask) or task.name == "reacher"
+
+
+def _build(history: History, which: str, formats: Sequence[str] | None) -> tuple[dict[str, bytes], list[Check]]:
     iteration, phi = _chosen(history, which)
+    task = task_of(history)
+    _check_phi(history, phi)
+    formats = default_formats(task) if formats is None else formats
+    check_formats(formats, task)
+    parts = printed_parts(task, phi)
+    design = _design(history, task, which, iteration, phi, parts)
+    policy = policy_at(history, iteration)
     try:
-        task = make_task(history.record.task, history.record.task_options)
-        phi = _check_phi(history, phi)
-    except (ValueError, TypeError) as error:
-        raise ExportError(str(error)) from error
-    robot, scene = task.spec(phi), task.scene(phi)
-    try:
-        model = robot.compile()
+        files = _robot_files(task, phi, parts, design.robot, formats)
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
-    files: dict[str, bytes] = {}
-    if "mjcf" in formats:
-        files |= write_mjcf(robot, "robot.xml", "meshes") | write_mjcf(scene, "scene.xml", "meshes_scene")
-    if "urdf" in formats:
-        files |= write_urdf(model, "robot.urdf", task.name)
-    checks = verify(files, model, only_mujoco=True)
+    checks = prove_robot(files, design, task, phi, only_mujoco=True)
+    recorded = next(
+        (e for e in reversed(history.evaluations) if e.iteration == iteration and e.phi == phi.tolist()), None
+    )
+    scores: list[Score] = []
+    if policy and printable(task) and "mjcf" in formats:
+        files |= policy_files(policy, task)
+        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), EPISODES)
+        checks += compared
+        scores = [*([msgspec.structs.replace(found, where="at export")] if found else []),
+                  *_promised(history, recorded, policy)]  # fmt: skip
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
-    files["design.json"] = _design(history, which, iteration, phi)
-    files["README.txt"] = _README.encode()
-    provenance = provenance_of(history, iteration, files, [str(check) for check in checks])
-    files["provenance.json"] = _json(msgspec.to_builtins(provenance))
+    files[FILE] = _json(msgspec.to_builtins(design))
+    files |= _papers(task, design, phi, parts, scores, recorded, formats)
+    provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores)
+    files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
+    return files, checks
+
+
+def _robot_files(
+    task: Task, phi: np.ndarray, parts: Sequence[Part], robot: str, formats: Sequence[str]
+) -> dict[str, bytes]:
+    """Return the robot in every format; its meshes are the files that are printed."""
+    spec, scene = task.spec(phi), task.scene(phi)
+    model = spec.compile()
+    files: dict[str, bytes] = {}
+    shown = {part.stl_path: stl(part.vertices, part.faces, f"{part.name}, millimetres") for part in parts}
+    if {"mjcf", "urdf", "stl"} & set(formats):
+        files |= shown
+    if "mjcf" in formats:
+        _add_start(task, scene, phi)
+        plain = write_mjcf(dress(spec, parts, shown), f"{robot}.xml", "meshes", shown)
+        files |= plain | write_mjcf(dress(scene, parts, shown), "scene.xml", "meshes_scene", shown)
+        files[f"{robot}.mjz"] = zipped({"model.xml": plain.pop(f"{robot}.xml"), **plain, **shown})
+    if "urdf" in formats:
+        visuals = {link: part.stl_path for part in parts for link in part.links}
+        files |= write_urdf(model, f"{robot}.urdf", task.name, visuals)
+        files["control.json"] = _json(control_settings(model, task.scene(phi).compile()))
+    if "3mf" in formats:
+        files |= {f"3mf/{part.name}.3mf": three_mf(part) for part in parts}
+    if "glb" in formats:
+        files["assembly.glb"] = glb(parts, model, _colours(model, parts))
+    if "step" in formats:
+        files |= step_files(parts)
     return files
+
+
+def _add_start(task: Task, scene: mujoco.MjSpec, phi: np.ndarray) -> None:
+    """Give the scene a keyframe: a start of the task."""
+    if any(key.name == "start" for key in scene.keys):
+        return
+    state = task.reset(task.hw_phy(phi), 1, np.random.default_rng(0))
+    scene.add_key(name="start", qpos=task.qpos(state)[0])
+
+
+def _papers(
+    task: Task,
+    design: Design,
+    phi: np.ndarray,
+    parts: Sequence[Part],
+    scores: Sequence[Score],
+    recorded: Evaluation | None,
+    formats: Sequence[str],
+) -> dict[str, bytes]:
+    """Return what is written for people."""
+    papers = {
+        "README.txt": _readme(design, formats, policy=bool(scores)).encode(),
+        "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
+    }
+    image = None
+    if parts:
+        papers["BOM.csv"] = bill_of_materials(parts, isinstance(task, GraspTask))
+        model = task.spec(phi).compile()
+        data, colours = start_posture(model), _colours(model, parts)
+        surfaces = []
+        for part in parts:
+            for link in part.links:
+                body = 0 if link == BASE else model.body(link).id
+                placed = MILLIMETRE * part.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+                surfaces.append((placed[part.faces], colours[link][:3]))
+        image = picture(surfaces)
+    measured = next((score for score in scores if score.where == "at export"), None)
+    papers["report.html"] = report(design, image, parts, measured, recorded, policy=bool(scores))
+    return papers
+
+
+def _readme(design: Design, formats: Sequence[str], policy: bool) -> str:
+    robot = design.robot
+    lines = {
+        "mjcf": f'MuJoCo:  mujoco.MjModel.from_xml_path("{robot}.xml"), or scene.xml for the robot with its task;\n'
+        f"         python -m mujoco.viewer --mjcf=scene.xml, or drop {robot}.mjz on live.mujoco.org",
+        "urdf": f'URDF:    yourdfpy.URDF.load("{robot}.urdf"), or any other reader; effort or velocity 1e6 means\n'
+        "         that the task sets no limit; gains, armature and contact settings are in control.json",
+        "stl": "Print:   parts/*.stl (mm), one file for each part; BOM.csv says how many",
+        "3mf": "         3mf/*.3mf (mm), with as many copies as are needed",
+        "glb": "Look:    assembly.glb (m)",
+        "step": "CAD:     step/*.step (mm), plane faces",
+    }
+    said = [lines[name] for name in lines if name in formats]
+    said += ["Policy:  python run_policy.py"] if policy else []
+    return "\n".join([*said, "Check:   morph-studio verify THIS_BUNDLE", "More:    report.html", ""])
+
+
+def _promised(history: History, recorded: Evaluation | None, policy: Policy) -> list[Score]:
+    """Return what training has measured with this very policy."""
+    if recorded is None or policy.iteration != recorded.iteration:
+        return []
+    episodes = history.record.config.get("evaluation_episodes")
+    return [Score(episodes, recorded.sampled_success, "in training")] if isinstance(episodes, int) else []
+
+
+def _colours(model: mujoco.MjModel, parts: Sequence[Part]) -> dict[str, np.ndarray]:
+    return {link: model.geom(link).rgba for part in parts for link in part.links}
 
 
 def bundle_name(history: History, which: str) -> str:
@@ -105,15 +212,16 @@ def bundle_name(history: History, which: str) -> str:
     return f"{run}-{label}.zip"
 
 
-def check_formats(formats: Sequence[str]) -> None:
+def check_formats(formats: Sequence[str], task: Task) -> None:
     """Raise ExportError that lists the available formats unless all of `formats` are."""
+    allowed = (*default_formats(task), *(OPTIONAL_FORMATS if printable(task) else ()))
     for name in formats:
-        if name in PLANNED_FORMATS:
-            raise ExportError(f"the format {name} is not available yet; choose from: {', '.join(FORMATS)}")
-        if name not in FORMATS:
-            raise ExportError(f'unknown format "{name[:40]}"; choose from: {", ".join(FORMATS)}')
+        if name in PRINTED_FORMATS and name not in allowed:
+            raise ExportError(f"{task.name} has no printable parts for {name}; choose from: {', '.join(allowed)}")
+        if name not in allowed:
+            raise ExportError(f'unknown format "{name[:40]}"; choose from: {", ".join(allowed)}')
     if not formats:
-        raise ExportError(f"no format given; choose from: {', '.join(FORMATS)}")
+        raise ExportError(f"no format given; choose from: {', '.join(allowed)}")
 
 
 def _chosen(history: History, which: str) -> tuple[int, np.ndarray]:
@@ -123,85 +231,41 @@ def _chosen(history: History, which: str) -> tuple[int, np.ndarray]:
         raise ExportError(str(error)) from error
 
 
-def _check_phi(history: History, phi: np.ndarray) -> np.ndarray:
-    """Return phi (d,), or raise ValueError unless it is finite and inside the task's own box."""
+def task_of(history: History) -> Task:
+    """Return the task of a run; raise ExportError if there is none like it here."""
+    try:
+        return make_task(history.record.task, history.record.task_options)
+    except (ValueError, TypeError) as error:
+        raise ExportError(str(error)) from error
+
+
+def _check_phi(history: History, phi: np.ndarray) -> None:
+    """Raise ExportError unless phi (d,) is finite and inside the task's own box."""
     parameters = history.record.parameters
     if phi.shape != (len(parameters),):
-        raise ValueError(f"the recorded design has {phi.size} entries; {len(parameters)} are needed")
+        raise ExportError(f"the recorded design has {phi.size} entries; {len(parameters)} are needed")
     for p, value in zip(parameters, phi, strict=True):
         if not p.hard_lo <= value <= p.hard_hi:
-            raise ValueError(f"{p.name} of the recorded design is {value:g}, outside [{p.hard_lo:g}, {p.hard_hi:g}]")
-    return phi
+            raise ExportError(f"{p.name} of the recorded design is {value:g}, outside [{p.hard_lo:g}, {p.hard_hi:g}]")
 
 
-def _design(history: History, which: str, iteration: int, phi: np.ndarray) -> bytes:
+def _design(history: History, task: Task, which: str, iteration: int, phi: np.ndarray, parts: Sequence[Part]) -> Design:
     parameters = [
-        {"name": p.name, "value": float(value), "unit": p.unit, "lo": p.lo, "hi": p.hi, "locked_at": p.locked_at,
-         "hard_lo": p.hard_lo, "hard_hi": p.hard_hi, "initial": p.initial}
+        Value(name=p.name, value=float(value), unit=p.unit, lo=p.lo, hi=p.hi, locked_at=p.locked_at,
+              hard_lo=p.hard_lo, hard_hi=p.hard_hi, initial=p.initial)
         for p, value in zip(design_space_at(history, iteration).parameters, phi, strict=True)
     ]  # fmt: skip
-    return _json({"run": history.folder.id, "design": which, "iteration": iteration, "parameters": parameters})
+    return Design(
+        task=task.name,
+        task_options=history.record.task_options,
+        robot="hand" if isinstance(task, GraspTask) else "robot",
+        run=history.folder.id,
+        design=which,
+        iteration=iteration,
+        parameters=parameters,
+        parts=[PartEntry(part.name, list(part.links), part.inertial.mass) for part in parts],
+    )
 
 
 def _json(document: object) -> bytes:
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False).encode() + b"\n"
-
-
-@contextlib.contextmanager
-def _draft(out: Path) -> Iterator[Path]:
-    """Give a folder beside `out` that is gone afterwards."""
-    folder = Path(tempfile.mkdtemp(prefix=f".{out.name[:80]}.", dir=out.parent))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _replace_file(out: Path, content: bytes) -> None:
-    with _draft(out) as draft:
-        _write(draft / "zip", content)
-        (draft / "zip").replace(out)
-
-
-def _replace_folder(out: Path, files: dict[str, bytes]) -> None:
-    with _draft(out) as draft:
-        for path, content in files.items():
-            (draft / "new" / path).parent.mkdir(parents=True, exist_ok=True)
-            _write(draft / "new" / path, content)
-        if out.exists():
-            out.rename(draft / "old")
-        try:
-            (draft / "new").rename(out)
-        except OSError:
-            if (draft / "old").exists():
-                (draft / "old").rename(out)
-            raise
-
-
-def _write(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _check_replaceable(out: Path) -> None:
-    """Raise ExportError unless `out` is not there, is empty, or holds an earlier export and nothing else."""
-    if not out.exists() and not out.is_symlink():
-        return
-    if not out.is_dir() or out.is_symlink():
-        raise ExportError(f"{out} is there and is no folder: choose a path that ends in .zip, or another name")
-    present = {path.relative_to(out).as_posix() for path in out.rglob("*") if not path.is_dir()}
-    if not present:
-        return
-    try:
-        earlier = msgspec.json.decode((out / "provenance.json").read_bytes(), type=Provenance)
-    except (OSError, msgspec.DecodeError):
-        earlier = None
-    if earlier is None or earlier.kind != KIND:
-        raise ExportError(f"{out} holds other files: choose an empty or new folder")
-    foreign = sorted(present - set(earlier.sha256) - {"provenance.json"})
-    if foreign:
-        raise ExportError(
-            f"{out} holds an earlier export and other files ({', '.join(foreign[:3])}): choose another folder"
-        )

@@ -1,5 +1,6 @@
 """A MuJoCo model as MJCF text with exact numbers, and the mesh files it refers to."""
 
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 import mujoco
@@ -7,22 +8,27 @@ import mujoco
 from studio.export.errors import ExportError
 
 
-def write_mjcf(spec: mujoco.MjSpec, name: str, folder: str) -> dict[str, bytes]:
-    """Return {`name`: XML, `folder`/...: meshes} and leave the spec alone. Raise ExportError if it can't be built."""
-    spec = spec.copy()
+def write_mjcf(
+    spec: mujoco.MjSpec, name: str, folder: str, files: Mapping[str, bytes] | None = None
+) -> dict[str, bytes]:
+    """Return {`name`: XML, `folder`/...: meshes} and leave the spec alone. Raise ExportError if it can't be built.
+
+    Meshes that are in `files` already stay where they are.
+    """
+    spec, shared = spec.copy(), dict(files or {})
     # Numbers as authored (exact when read again); the compiled form is printed with seven digits.
     spec.compiler.savecompiled = False
-    files: dict[str, bytes] = {}
+    own: dict[str, bytes] = {}
     for i, mesh in enumerate(spec.meshes):
-        if mesh.file:
+        if mesh.file and mesh.file not in shared:
             path = f"{folder}/{i}_{PurePosixPath(mesh.file).name}"
-            files[path] = _mesh_file(spec, mesh.file)
+            own[path] = _mesh_file(spec, mesh.file)
             mesh.file = path
     spec.meshdir = ""
     try:
-        spec.assets = files
+        spec.assets = {**shared, **own}
         spec.compile()
-        return {name: spec.to_xml().encode(), **files}
+        return {name: spec.to_xml().encode(), **own}
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
 

@@ -11,6 +11,7 @@ import msgspec
 from morph_core.design import DesignSpace
 from morph_core.history import History
 from morph_core.protocol import Acknowledged, AnyCommand, DesignSpaceChanged, Parent, StateChanged
+from studio.export.policy import Score
 
 KIND = "morph-studio export"
 
@@ -46,11 +47,15 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     """Of every other file."""
     checks: list[str]
     """How the exported files were compared with the simulated robot."""
+    policy: list[Score] = []
+    """How able the policy was: on the exported files, and in training with the same design."""
     exported: str
     """UTC."""
 
 
-def provenance_of(history: History, iteration: int, files: Mapping[str, bytes], checks: list[str]) -> Provenance:
+def provenance_of(
+    history: History, iteration: int, files: Mapping[str, bytes], checks: list[str], policy: list[Score]
+) -> Provenance:
     record = history.record
     commands = [
         TakenCommand(e.iteration, e.command)
@@ -75,6 +80,7 @@ def provenance_of(history: History, iteration: int, files: Mapping[str, bytes], 
         commands_sha256=hashlib.sha256(msgspec.json.encode(commands)).hexdigest(),
         sha256={name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())},
         checks=checks,
+        policy=policy,
         exported=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     )
 

@@ -7,7 +7,7 @@ size and of negligible mass), and no armature, servo gain or contact option (the
 import itertools
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from studio.export.errors import ExportError
+from studio.export.meshes import stl
 
 NO_LIMIT = 1e6
 """Stands in for a limit that the task does not set, where URDF demands one (N, N m, m/s, rad/s, m)."""
@@ -54,8 +55,13 @@ def free_base(model: mujoco.MjModel) -> int | None:
     return free[0]
 
 
-def write_urdf(model: mujoco.MjModel, name: str, robot: str) -> dict[str, bytes]:
-    """Return {`name`: XML, meshes}; raise ExportError for what URDF can't hold."""
+def write_urdf(
+    model: mujoco.MjModel, name: str, robot: str, visuals: Mapping[str, str] | None = None
+) -> dict[str, bytes]:
+    """Return {`name`: XML, meshes}; raise ExportError for what URDF can't hold.
+
+    `visuals` names the STL file (mm, in the body's frame) that a link shows in place of its collision shapes.
+    """
     if model.neq or model.ntendon:
         raise ExportError("URDF can't hold equality constraints or tendons: choose mjcf alone")
     names = urdf_names(model)
@@ -73,7 +79,9 @@ def write_urdf(model: mujoco.MjModel, name: str, robot: str) -> dict[str, bytes]
         link = ElementTree.SubElement(root, "link", name=names.links[body])
         _add_inertial(link, model, body, origin)
         for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
-            _add_geom(link, model, geom, origin)
+            _add_geom(link, model, geom, origin, names.links[body] not in (visuals or {}))
+        if visuals and names.links[body] in visuals:
+            _add_part(link, model, body, visuals[names.links[body]], origin)
         for site in np.flatnonzero(model.site_bodyid == body):
             ElementTree.SubElement(root, "link", name=names.sites[site])
             _add_joint(
@@ -213,21 +221,37 @@ def _add_inertia(inertial: ElementTree.Element, diagonal: np.ndarray) -> None:
     ElementTree.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
 
 
-def _add_geom(link: ElementTree.Element, model: mujoco.MjModel, geom: int, origin: np.ndarray) -> None:
+def _add_part(link: ElementTree.Element, model: mujoco.MjModel, body: int, file: str, origin: np.ndarray) -> None:
+    element = ElementTree.SubElement(link, "visual")
+    _add_origin(element, -origin, np.array([1.0, 0.0, 0.0, 0.0]))
+    geometry = ElementTree.SubElement(element, "geometry")
+    ElementTree.SubElement(geometry, "mesh", filename=file, scale="0.001 0.001 0.001")
+    _add_colour(element, _colour(model, int(model.body_geomadr[body])))
+
+
+def _add_geom(link: ElementTree.Element, model: mujoco.MjModel, geom: int, origin: np.ndarray, shown: bool) -> None:
     position, rotation = model.geom_pos[geom] - origin, model.geom_quat[geom]
     collides = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
-    rgba = model.geom_rgba[geom]
-    if model.geom_matid[geom] >= 0 and np.array_equal(rgba, _DEFAULT_RGBA):
-        rgba = model.mat_rgba[model.geom_matid[geom]]
-    for use in ("visual", "collision") if collides else ("visual",):
+    for use in [*["visual"] * shown, *["collision"] * collides]:
         for offset, shape, sizes in _shapes(model, geom):
             element = ElementTree.SubElement(link, use)
             _add_origin(element, position + _rotate(rotation, np.array([0.0, 0.0, offset])), rotation)
             ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), shape, sizes)
             if use == "visual":
-                colour = _row(rgba)
-                material = ElementTree.SubElement(element, "material", name="rgba " + colour)
-                ElementTree.SubElement(material, "color", rgba=colour)
+                _add_colour(element, _colour(model, geom))
+
+
+def _colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    rgba = model.geom_rgba[geom]
+    if model.geom_matid[geom] >= 0 and np.array_equal(rgba, _DEFAULT_RGBA):
+        return model.mat_rgba[model.geom_matid[geom]]
+    return rgba
+
+
+def _add_colour(element: ElementTree.Element, rgba: np.ndarray) -> None:
+    colour = _row(rgba)
+    material = ElementTree.SubElement(element, "material", name="rgba " + colour)
+    ElementTree.SubElement(material, "color", rgba=colour)
 
 
 def _shapes(model: mujoco.MjModel, geom: int) -> Iterator[tuple[float, str, dict[str, str]]]:
@@ -271,13 +295,8 @@ def _stl(model: mujoco.MjModel, mesh: int) -> bytes:
     """Return a compiled mesh as binary STL in metres; its vertices are single precision in MuJoCo too."""
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    corners = model.mesh_vert[first : first + count][model.mesh_face[face : face + faces]]  # (faces, 3, 3) m
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    table = np.zeros(faces, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    table["normal"] = normals / np.where(length == 0, 1.0, length)
-    table["corners"] = corners
-    return b"binary STL, metres".ljust(80) + int(faces).to_bytes(4, "little") + table.tobytes()
+    vertices = model.mesh_vert[first : first + count]
+    return stl(vertices, model.mesh_face[face : face + faces], "binary STL, metres")
 
 
 def _add_origin(element: ElementTree.Element, position: np.ndarray, rotation: np.ndarray) -> None:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +26,9 @@ from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, pr
 from morph_core.tasks import make_task
 from studio.app import create_app
 from studio.bridge import MAX_MESSAGE
+from studio.export.bundle import Bundle
+from studio.export.check import Check
+from studio.export.design_file import Design, Value
 from studio.runs import Runs
 from studio.settings import Settings
 from studio.viewer import StartRequest, Viewer
@@ -141,6 +144,19 @@ def make_hand_run(runs: Path, task: str, name: str = "20260101-000000-hand-direc
     return folder
 
 
+def design_of(history: History, phi: list[float]) -> Design:
+    """Return what design.json of a bundle says of phi."""
+    parameters = [
+        Value(name=p.name, value=value, unit=p.unit, lo=p.lo, hi=p.hi, locked_at=None, hard_lo=p.hard_lo,
+              hard_hi=p.hard_hi, initial=p.initial)
+        for p, value in zip(history.record.parameters, phi, strict=True)
+    ]  # fmt: skip
+    return Design(
+        task=history.record.task, task_options={}, robot="robot", run=history.folder.id, design="best", iteration=1,
+        parameters=parameters,
+    )  # fmt: skip
+
+
 def eventually(claim: Callable[[], object], seconds: float = 10.0) -> object:
     """Return the first true value of `claim`, or its last value after `seconds`."""
     deadline = time.monotonic() + seconds
@@ -158,7 +174,7 @@ class Page:
     commands: list[tuple[str, AnyCommand]] = field(default_factory=list)
     started: list[StartRequest] = field(default_factory=list)
     resumed: list[str] = field(default_factory=list)
-    exported: list[tuple[str, str]] = field(default_factory=list)
+    exported: list[tuple[str, str, list[str]]] = field(default_factory=list)
     refusal: str | None = None
 
     def show(self, folder: RunFolder, status: Status | None = None, message: str = "") -> History:
@@ -187,9 +203,9 @@ def page() -> Iterator[Page]:
         heed(lambda: page.started.append(request))
         return NAME
 
-    def export(run_id: str, which: str) -> tuple[str, bytes]:
-        heed(lambda: page.exported.append((run_id, which)))
-        return "design.zip", b"zip"
+    def export(run_id: str, which: str, formats: Sequence[str]) -> Bundle:
+        heed(lambda: page.exported.append((run_id, which, list(formats))))
+        return Bundle("design.zip", {"robot.xml": b"xml", "robot.urdf": b"urdf"}, [Check("masses", 0.0, 0.0)], b"zip")
 
     viewer = Viewer(
         server,

@@ -109,18 +109,18 @@ def test_help_lists_the_commands_within_a_second() -> None:
     done = morph_studio("--help")
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines() if line.startswith("  ")] == [
-        "serve", "train", "runs", "evaluate", "export",
+        "serve", "train", "runs", "evaluate", "export", "verify", "import",
     ]  # fmt: skip
     after = os.times()
     assert after.children_user + after.children_system - before.children_user - before.children_system < 1.0
 
 
-@pytest.mark.parametrize("command", ["serve", "train", "runs", "evaluate", "export"])
+@pytest.mark.parametrize("command", ["serve", "train", "runs", "evaluate", "export", "verify", "import"])
 def test_every_command_explains_itself(command: str) -> None:
     done = morph_studio(command, "--help")
     assert done.returncode == 0
     assert f"usage: morph-studio {command}" in done.stdout
-    assert "--runs DIR" in done.stdout
+    assert ("--runs DIR" in done.stdout) is (command != "verify")  # an export lies anywhere
 
 
 def test_the_settings_of_run_and_task_are_flags_with_their_explanation() -> None:
@@ -133,7 +133,7 @@ def test_the_settings_of_run_and_task_are_flags_with_their_explanation() -> None
 def test_the_command_line_does_not_load_torch() -> None:
     code = (
         "import sys, studio.cli.train, studio.cli.evaluate, studio.cli.export, studio.cli.runs, studio.cli.serve;"
-        "import studio.export.bundle; sys.exit('torch' in sys.modules)"
+        "import studio.cli.verify, studio.cli.import_design, studio.export.bundle; sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=ENVIRONMENT, timeout=60).returncode == 0
 
@@ -141,7 +141,7 @@ def test_the_command_line_does_not_load_torch() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("brew", "choose from: serve, train, runs, evaluate, export"),
+        ("brew", "choose from: serve, train, runs, evaluate, export, verify, import"),
         ("train", "choose from: mouse_click, pen_press, reacher"),
         ("train reech", 'unknown task "reech"; choose from: mouse_click, pen_press, reacher'),
         ("train reacher extra", "too many words: extra"),
@@ -243,7 +243,7 @@ def test_an_export_without_a_place_goes_into_the_run(folder: RunFolder) -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("export RUN --formats stl", "stl is not available yet; choose from: mjcf, urdf"),
+        ("export RUN --formats dwg", "choose from: mjcf, urdf, stl, 3mf, glb, step"),
         ("export RUN --formats", "choose from: mjcf, urdf"),
         ("export RUN --design 9", "choose best, latest or 0 to 2"),
         ("export RUN --design newest", "choose best, latest or an iteration"),

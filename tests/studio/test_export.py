@@ -11,10 +11,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from morph_core.tasks import make_task
+from studio.export.check import Check
 from studio.export.errors import ExportError
 from studio.export.mjcf import write_mjcf
 from studio.export.urdf import MESHES, write_urdf
-from studio.export.verify import POSTURES, Check, verify
+from studio.export.verify import POSTURES, verify
 
 REACHER = make_task("reacher")
 
@@ -182,5 +183,5 @@ def test_limits_in_the_wrong_order_and_a_missing_mesh_are_found_out() -> None:
 def test_a_broken_mjcf_is_found_out() -> None:
     model, files = export(REACHER.spec(REACHER.design_space.initial))
     text = files["robot.xml"].decode()
-    broken = files | {"robot.xml": text.replace('density="200"', 'density="210"', 1).encode()}
+    broken = files | {"robot.xml": re.sub('mass="[1-9][^"]*"', 'mass="9"', text, count=1).encode()}
     assert any(fault.startswith("robot.xml in MuJoCo: masses") for fault in faults(verify(broken, model)))

@@ -22,8 +22,9 @@ from morph_core.protocol import (
     StateChanged,
 )
 from morph_core.run_folder import EventLog, RunFolder
-from studio.export.bundle import build_bundle, write_bundle
+from studio.export.bundle import build_bundle
 from studio.export.errors import ExportError
+from studio.export.place import write_bundle
 from studio.export.verify import verify
 from studio.new_run import prepare_run
 
@@ -61,12 +62,17 @@ def unpack(content: bytes) -> dict[str, bytes]:
 
 
 def test_the_zip_holds_robot_scene_design_and_provenance(history: History) -> None:
-    name, content = build_bundle(history, "best")
-    files = unpack(content)
-    assert name == f"{history.folder.id}-best-000002.zip"
-    assert set(files) == {"README.txt", "design.json", "provenance.json", "robot.urdf", "robot.xml", "scene.xml"}
+    bundle = build_bundle(history, "best")
+    files = unpack(bundle.content)
+    assert bundle.name == f"{history.folder.id}-best-000002.zip"
+    parts = {"base", *(f"link_{i}" for i in range(1, 6))}
+    assert set(files) == {
+        "README.txt", "LICENSE", "BOM.csv", "report.html", "design.json", "provenance.json", "control.json",
+        "robot.urdf", "robot.xml", "robot.mjz", "scene.xml", "assembly.glb",
+        *(f"parts/{part}.stl" for part in parts), *(f"3mf/{part}.3mf" for part in parts),
+    }  # fmt: skip
     assert all(check.passed for check in verify(files))
-    scene = mujoco.MjModel.from_xml_string(files["scene.xml"].decode())
+    scene = mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), files)
     geoms = [scene.geom(i).name for i in range(scene.ngeom)]
     assert any(name.startswith("goal") for name in geoms)
     assert any(name.startswith("wall") for name in geoms)
@@ -74,21 +80,21 @@ def test_the_zip_holds_robot_scene_design_and_provenance(history: History) -> No
 
 @pytest.mark.parametrize(("which", "iteration"), [("best", 2), ("latest", 3), ("1", 1)])
 def test_the_chosen_design_is_the_one_written(history: History, which: str, iteration: int) -> None:
-    files = unpack(build_bundle(history, which)[1])
+    files = unpack(build_bundle(history, which).content)
     design = json.loads(files["design.json"])
     assert design["iteration"] == iteration
     assert [p["value"] for p in design["parameters"]] == PHIS[iteration]
-    model = mujoco.MjModel.from_xml_string(files["robot.xml"].decode())
+    model = mujoco.MjModel.from_xml_string(files["robot.xml"].decode(), files)
     assert [2 * model.geom(f"link_{i + 1}").size[1] for i in range(5)] == pytest.approx(PHIS[iteration], rel=1e-15)
 
 
 def test_iteration_0_is_the_initial_design(history: History) -> None:
-    design = json.loads(unpack(build_bundle(history, "0")[1])["design.json"])
+    design = json.loads(unpack(build_bundle(history, "0").content)["design.json"])
     assert [p["value"] for p in design["parameters"]] == [3.0] * 5
 
 
 def test_bounds_and_commands_are_those_in_force_for_the_design(history: History) -> None:
-    before, after = (unpack(build_bundle(history, which)[1]) for which in ("2", "3"))
+    before, after = (unpack(build_bundle(history, which).content) for which in ("2", "3"))
     bounds = [json.loads(files["design.json"])["parameters"][0] for files in (before, after)]
     assert [(p["lo"], p["hi"]) for p in bounds] == [(0.05, 5.0), (1.0, 2.3)]
     commands = [json.loads(files["provenance.json"])["commands"] for files in (before, after)]
@@ -96,7 +102,7 @@ def test_bounds_and_commands_are_those_in_force_for_the_design(history: History)
 
 
 def test_provenance_says_where_it_comes_from_and_digests_every_other_file(history: History) -> None:
-    files = unpack(build_bundle(history, "latest")[1])
+    files = unpack(build_bundle(history, "latest").content)
     provenance = json.loads(files.pop("provenance.json"))
     assert provenance["sha256"] == {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     assert (provenance["run"], provenance["iteration"], provenance["seed"]) == (history.folder.id, 3, 7)
@@ -109,20 +115,20 @@ def test_provenance_says_where_it_comes_from_and_digests_every_other_file(histor
 
 
 def test_two_exports_differ_in_nothing_but_the_time(history: History) -> None:
-    first, second = (unpack(build_bundle(history, "best")[1]) for _ in range(2))
+    first, second = (unpack(build_bundle(history, "best").content) for _ in range(2))
     times = [json.loads(files.pop("provenance.json")).pop("exported") for files in (first, second)]
     assert all(time.endswith("Z") for time in times)
     assert first == second
 
 
 def test_one_format_alone_leaves_the_other_out(history: History) -> None:
-    assert "robot.xml" not in unpack(build_bundle(history, "best", ["urdf"])[1])
-    assert "robot.urdf" not in unpack(build_bundle(history, "best", ["mjcf"])[1])
+    assert "robot.xml" not in unpack(build_bundle(history, "best", ["urdf"]).content)
+    assert "robot.urdf" not in unpack(build_bundle(history, "best", ["mjcf"]).content)
 
 
-@pytest.mark.parametrize("formats", [["stl"], ["mjcf", "3mf"], ["step"], []])
+@pytest.mark.parametrize("formats", [["dwg"], ["mjcf", "3mff"], [""], []])
 def test_other_formats_are_refused_with_the_list(history: History, formats: list[str]) -> None:
-    with pytest.raises(ExportError, match="choose from: mjcf, urdf"):
+    with pytest.raises(ExportError, match="choose from: mjcf, urdf, stl, 3mf, glb, step"):
         build_bundle(history, "best", formats)
 
 
@@ -144,14 +150,15 @@ def test_a_recorded_design_outside_the_task_is_refused(history: History, phi: li
 def test_a_run_of_an_unknown_task_is_refused(history: History) -> None:
     record = msgspec.structs.replace(history.record, task="juggling")
     (history.folder.path / "run.json").write_bytes(msgspec.json.encode(record))
-    with pytest.raises(ExportError, match="choose from: reacher"):
+    with pytest.raises(ExportError, match="choose from: .*reacher"):
         build_bundle(History(history.folder), "best")
 
 
 def test_a_hostile_run_name_does_not_reach_a_file_name(history: History) -> None:
     hostile = history.folder.path.with_name("..\\ a\n$(touch x)" + "é" * 60)
     history.folder.path.rename(hostile)
-    name, content = build_bundle(History(RunFolder(hostile)), "best")
+    bundle = build_bundle(History(RunFolder(hostile)), "best")
+    name, content = bundle.name, bundle.content
     assert name.isascii()
     assert not set(name) & set("/\\\n $()")
     assert not name.startswith(".")
@@ -160,16 +167,17 @@ def test_a_hostile_run_name_does_not_reach_a_file_name(history: History) -> None
 
 
 def test_a_zip_is_written_to_the_path(history: History, tmp_path: Path) -> None:
-    out = write_bundle(history, "best", tmp_path / "new folder" / "arm.zip")
+    out = write_bundle(build_bundle(history, "best"), tmp_path / "new folder" / "arm.zip")
     assert all(check.passed for check in verify(unpack(out.read_bytes())))
     assert [p.name for p in out.parent.iterdir()] == ["arm.zip"]
 
 
 def test_a_folder_is_written_and_an_earlier_export_replaced(history: History, tmp_path: Path) -> None:
     out = tmp_path / "arm"
-    write_bundle(history, "1", out, ["mjcf"])
-    write_bundle(history, "best", out, ["urdf"])
-    assert sorted(p.name for p in out.iterdir()) == ["README.txt", "design.json", "provenance.json", "robot.urdf"]
+    write_bundle(build_bundle(history, "1", ["mjcf"]), out)
+    write_bundle(build_bundle(history, "best", ["urdf"]), out)
+    assert (out / "robot.urdf").exists()
+    assert not (out / "robot.xml").exists()
     assert json.loads((out / "design.json").read_text())["iteration"] == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["arm", "runs"]
 
@@ -179,11 +187,11 @@ def test_a_folder_with_anything_else_in_it_is_left_alone(history: History, tmp_p
     foreign.mkdir()
     (foreign / "chapter.tex").write_text("years of work")
     with pytest.raises(ExportError, match="holds other files"):
-        write_bundle(history, "best", foreign)
-    earlier = write_bundle(history, "best", tmp_path / "arm")
+        write_bundle(build_bundle(history, "best"), foreign)
+    earlier = write_bundle(build_bundle(history, "best"), tmp_path / "arm")
     (earlier / "notes.txt").write_text("mine")
     with pytest.raises(ExportError, match=r"notes\.txt"):
-        write_bundle(history, "1", earlier)
+        write_bundle(build_bundle(history, "1"), earlier)
     assert (foreign / "chapter.tex").read_text() == "years of work"
     assert json.loads((earlier / "design.json").read_text())["iteration"] == 2
 
@@ -191,9 +199,9 @@ def test_a_folder_with_anything_else_in_it_is_left_alone(history: History, tmp_p
 def test_a_file_where_the_folder_should_be_is_left_alone(history: History, tmp_path: Path) -> None:
     (tmp_path / "arm").write_text("mine")
     with pytest.raises(ExportError, match="is no folder"):
-        write_bundle(history, "best", tmp_path / "arm")
+        write_bundle(build_bundle(history, "best"), tmp_path / "arm")
     with pytest.raises(ExportError, match="can't write"):
-        write_bundle(history, "best", tmp_path / "arm" / "b.zip")
+        write_bundle(build_bundle(history, "best"), tmp_path / "arm" / "b.zip")
     assert (tmp_path / "arm").read_text() == "mine"
 
 
@@ -201,7 +209,7 @@ def test_a_file_where_the_folder_should_be_is_left_alone(history: History, tmp_p
 def test_a_full_disk_leaves_the_earlier_export_and_no_debris(
     history: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    out = write_bundle(history, "1", tmp_path / name)
+    out = write_bundle(build_bundle(history, "1"), tmp_path / name)
     before = out.read_bytes() if out.is_file() else (out / "design.json").read_bytes()
 
     def full(_: int) -> None:
@@ -209,7 +217,7 @@ def test_a_full_disk_leaves_the_earlier_export_and_no_debris(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(ExportError, match="No space left"):
-        write_bundle(history, "best", out)
+        write_bundle(build_bundle(history, "best"), out)
     assert (out.read_bytes() if out.is_file() else (out / "design.json").read_bytes()) == before
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([name, "runs"])
 
@@ -217,7 +225,7 @@ def test_a_full_disk_leaves_the_earlier_export_and_no_debris(
 def test_a_replacement_that_fails_half_way_puts_the_earlier_export_back(
     history: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = write_bundle(history, "1", tmp_path / "arm")
+    out = write_bundle(build_bundle(history, "1"), tmp_path / "arm")
     rename = Path.rename
 
     def failing(self: Path, target: Path) -> Path:
@@ -227,5 +235,5 @@ def test_a_replacement_that_fails_half_way_puts_the_earlier_export_back(
 
     monkeypatch.setattr(Path, "rename", failing)
     with pytest.raises(ExportError, match="Input/output error"):
-        write_bundle(history, "best", out)
+        write_bundle(build_bundle(history, "best"), out)
     assert json.loads((out / "design.json").read_text())["iteration"] == 1

@@ -1,0 +1,88 @@
+"""`morph-studio import`: go on from a design that was exported, in a running run or in a new one."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from morph_core.config import Method
+from morph_core.protocol import InjectDesign
+from studio.cli.arguments import Count, RunsArguments, UsageError, parse
+from studio.cli.choice import open_run
+
+DESIGN_METAVAR = "DESIGN"
+
+
+@dataclass(frozen=True)
+class ImportArguments(RunsArguments):
+    """Read a design.json, or a bundle for its design.json; nothing else in a bundle is looked at."""
+
+    design: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar=DESIGN_METAVAR)] = tyro.MISSING
+    """A design.json, or the zip or folder that morph-studio export wrote."""
+    into: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
+    """Hand the design to this run, whose trainer is at work: it goes on from there."""
+    start: bool = False
+    """Start a new run from the design."""
+    method: Method = "morph"
+    """Of the new run."""
+    seed: int = 0
+    """Of the new run."""
+    iterations: Count = 100
+    """Of the new run."""
+
+
+def main(words: Sequence[str]) -> int:
+    arguments = parse(ImportArguments, words, "import")
+    if arguments.into is not None and arguments.start:
+        raise UsageError("import: choose one of --into RUN and --start")
+    from studio.export.design_file import load_design, phi_for
+    from studio.export.errors import ExportError
+
+    try:
+        design = load_design(arguments.design)
+        if arguments.start:
+            return _start(arguments, design)
+        if arguments.into is not None:
+            history = open_run(arguments.runs, arguments.into)
+            return _send(history, phi_for(design, history.record.task, history.design_space).tolist())
+    except ExportError as error:
+        raise UsageError(f"import: {error}") from error
+    print(f"{design.task}, iteration {design.iteration} of {design.run}")  # noqa: T201
+    for p in design.parameters:
+        print(f"  {p.name} = {p.value:.6g} {p.unit}")  # noqa: T201
+    print("go on from it: --into RUN, --start, or morph-studio evaluate RUN --phi-from DESIGN")  # noqa: T201
+    return 0
+
+
+def _send(history, phi: list[float]) -> int:
+    from studio.runs import Runs
+
+    folder = history.folder
+    try:
+        number = Runs(folder.path.parent).send(folder.id, InjectDesign(phi))
+    except ValueError as error:
+        raise UsageError(f"import: {error}") from error
+    print(f"sent to {folder.id} as command {number}")  # noqa: T201
+    return 0
+
+
+def _start(arguments: ImportArguments, design) -> int:
+    from morph_core.tasks import make_task
+    from studio.cli.follow import follow
+    from studio.export.design_file import starting_from
+    from studio.new_run import prepare_run
+    from studio.trainers import spawn_trainer
+
+    try:
+        space = make_task(design.task, design.task_options).design_space
+        folder = prepare_run(
+            arguments.runs, task=design.task, task_options=design.task_options, method=arguments.method,
+            seed=arguments.seed, iterations=arguments.iterations, parameters=starting_from(design, space),
+        )  # fmt: skip
+    except (ValueError, TypeError, OSError) as error:
+        raise UsageError(f"import: {error}") from error
+    print(folder.id, file=sys.stderr)  # noqa: T201
+    return follow(folder, lambda: spawn_trainer(folder, further=None), quiet=False).code

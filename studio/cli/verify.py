@@ -1,0 +1,84 @@
+"""`morph-studio verify`: check an export: one robot in every file, sound parts, and a policy as able as promised."""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from studio.cli.arguments import Count, UsageError, parse
+
+
+@dataclass(frozen=True)
+class VerifyArguments:
+    """Read an export back and compare all its files; exit with 1 if anything disagrees."""
+
+    bundle: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BUNDLE")] = tyro.MISSING
+    """The zip or the folder that morph-studio export wrote."""
+    episodes: Count = 128
+    """Episodes in which the policy is run on the files; 0 leaves it out."""
+    every: bool = False
+    """Show every comparison, and not one line for each file."""
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+def main(words: Sequence[str]) -> int:
+    arguments = parse(VerifyArguments, words, "verify")
+    if arguments.episodes < 0:
+        raise UsageError(f"verify: --episodes must not be negative, and is {arguments.episodes}")
+    from studio.export.archive import read_files
+    from studio.export.errors import ExportError
+    from studio.export.proof import prove
+
+    try:
+        files = read_files(arguments.bundle)
+    except ExportError as error:
+        raise UsageError(f"verify: {error}") from error
+    checks = prove(files, episodes=arguments.episodes)
+    passed = all(check.passed for check in checks)
+    if arguments.json:
+        json.dump({"bundle": str(arguments.bundle), "passed": passed, "checks": [c.facts for c in checks]}, sys.stdout)
+        sys.stdout.write("\n")
+    else:
+        _print(checks, arguments.every)
+    return 0 if passed else 1
+
+
+def _print(checks: Sequence, every: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("", "file", "compared", "largest difference", "allowed"):
+        table.add_column(heading, overflow="fold")
+    for subject, group in _grouped(checks).items():
+        failed = [check for check in group if not check.passed]
+        if failed or every:
+            rows = group if every else failed
+            for check in rows:
+                mark = Text("ok", "green") if check.passed else Text("FAILS", "bold red")
+                what = check.name.removeprefix(f"{subject}: ") + (f" ({check.detail})" if check.detail else "")
+                table.add_row(mark, Text(subject), Text(what), f"{check.worst:.2g}", f"{check.allowed:.2g}")
+        else:
+            said = next((check.detail for check in group if len(group) == 1 and check.detail), "")
+            worst = max(group, key=lambda check: check.worst / max(check.allowed, 1e-300))
+            table.add_row(
+                Text("ok", "green"), Text(subject), Text(said or f"{len(group)} comparisons"), f"{worst.worst:.2g}",
+                f"{worst.allowed:.2g}",
+            )  # fmt: skip
+    console = Console()
+    console.print(table)
+    failed = sum(not check.passed for check in checks)
+    console.print(Text(f"{failed} of {len(checks)} checks fail" if failed else f"all {len(checks)} checks agree"))
+
+
+def _grouped(checks: Sequence) -> dict[str, list]:
+    groups: dict[str, list] = {}
+    for check in checks:
+        groups.setdefault(check.name.split(": ")[0], []).append(check)
+    return groups

@@ -1,0 +1,70 @@
+"""Zip files that are the same whenever the same files go into them, and are read without trust."""
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+from studio.export.errors import ExportError
+
+_FIXED_TIME = (1980, 1, 1, 0, 0, 0)
+MAX_FILES, MAX_BYTES = 2000, 256 << 20
+"""Of an archive that is read."""
+
+
+def zipped(files: Mapping[str, bytes], compress: bool = True) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED) as archive:
+        for path, content in files.items():
+            entry = zipfile.ZipInfo(path, _FIXED_TIME)
+            entry.compress_type = archive.compression
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, content)
+    return buffer.getvalue()
+
+
+def read_files(path: Path) -> dict[str, bytes]:
+    """Return what a zip or a folder holds, by relative path. Raise ExportError for anything hostile or unreadable."""
+    try:
+        if path.is_dir():
+            return _read_folder(path)
+        return unzipped(path.read_bytes())
+    except OSError as error:
+        raise ExportError(f"{path} can't be read: {error.strerror or error}") from error
+
+
+def unzipped(content: bytes) -> dict[str, bytes]:
+    """Return the files of a zip by their path; raise ExportError for anything hostile or unreadable."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            entries = [entry for entry in archive.infolist() if not entry.is_dir()]
+            _check_size(len(entries), sum(entry.file_size for entry in entries))
+            for entry in entries:
+                check_path(entry.filename)
+            return {entry.filename: archive.read(entry) for entry in entries}
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
+        raise (
+            error if isinstance(error, ExportError) else ExportError(f"this is no zip that can be read: {error}")
+        ) from error
+
+
+def check_path(name: str) -> None:
+    """Raise ExportError unless `name` is a plain relative path."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name or not path.parts:
+        raise ExportError(f"it holds a file with the path {name[:60]!r}: only plain relative paths are read")
+
+
+def _read_folder(folder: Path) -> dict[str, bytes]:
+    paths = [path for path in sorted(folder.rglob("*")) if not path.is_dir()]
+    if any(path.is_symlink() or not path.is_file() for path in paths):
+        raise ExportError(f"{folder} holds links or special files: only plain files are read")
+    _check_size(len(paths), sum(path.stat().st_size for path in paths))
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def _check_size(files: int, size: int) -> None:
+    if files > MAX_FILES or size > MAX_BYTES:
+        raise ExportError(
+            f"it holds {files} files of {size >> 20} MiB: at most {MAX_FILES} and {MAX_BYTES >> 20} are read"
+        )

@@ -1,0 +1,116 @@
+"""design.json: phi with its names, units and bounds; written into every bundle and read back to go on from it."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from morph_core.design import DesignSpace
+from morph_core.protocol import Parameter
+from studio.export.archive import MAX_BYTES, unzipped
+from studio.export.errors import ExportError
+
+FILE = "design.json"
+KIND = "morph-studio design"
+
+
+class Value(msgspec.Struct, frozen=True, kw_only=True):
+    """One design parameter; all numbers in `unit`."""
+
+    name: str
+    value: float
+    unit: str
+    lo: float
+    hi: float
+    locked_at: float | None
+    hard_lo: float
+    hard_hi: float
+    initial: float
+
+
+class PartEntry(msgspec.Struct, frozen=True):
+    """A printed part, and the links that are made from it."""
+
+    name: str
+    links: list[str]
+    mass: float
+    """kg, of one."""
+
+
+class Design(msgspec.Struct, frozen=True, kw_only=True):
+    """design.json."""
+
+    kind: str = KIND
+    format: int = 1
+    task: str
+    task_options: dict[str, object]
+    robot: str
+    """The names of the robot's files begin with it."""
+    run: str
+    design: str
+    iteration: int
+    parameters: list[Value]
+    parts: list[PartEntry] = []
+
+    @property
+    def phi(self) -> np.ndarray:
+        """(d,) in the order of the file."""
+        return np.array([p.value for p in self.parameters])
+
+
+def read_design(content: bytes) -> Design:
+    """Return the design of a design.json or of a bundle, as bytes; nothing else of a bundle is looked at.
+
+    Raise ExportError that says what is wrong.
+    """
+    if content.startswith(b"PK"):
+        files = unzipped(content)
+        if FILE not in files:
+            raise ExportError(f"this zip holds no {FILE}: it is no bundle of morph-studio")
+        content = files[FILE]
+    try:
+        design = msgspec.json.decode(content, type=Design)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ExportError(f"this is no {FILE} of morph-studio: {error}") from error
+    if design.kind != KIND or design.format != 1:
+        raise ExportError(
+            f"this is no {FILE} of morph-studio: its kind is {design.kind[:40]!r}, format {design.format}"
+        )
+    return design
+
+
+def load_design(path: Path) -> Design:
+    """Return the design of a design.json, a bundle's zip or a bundle's folder."""
+    try:
+        path = path / FILE if path.is_dir() else path
+        if path.stat().st_size > MAX_BYTES:
+            raise ExportError(f"{path} is too large to be a design")
+        return read_design(path.read_bytes())
+    except OSError as error:
+        raise ExportError(f"{path} can't be read: {error.strerror or error}") from error
+
+
+def phi_for(design: Design, task: str, space: DesignSpace) -> np.ndarray:
+    """Return the design as phi (d,) of `space`, whatever its order; ExportError unless it fits task and bounds."""
+    if design.task != task:
+        raise ExportError(f"this is a design for {design.task[:40]}, not for {task}")
+    values = {p.name: p for p in design.parameters}
+    for p in space.parameters:
+        if p.name not in values:
+            raise ExportError(f"the design lacks {p.name}; needed are: {', '.join(space.names)}")
+        if values[p.name].unit != p.unit:
+            raise ExportError(f"{p.name} must be in {p.unit}, not in {values[p.name].unit[:20]}")
+    foreign = sorted(set(values) - set(space.names))
+    if foreign or len(design.parameters) != len(space):
+        raise ExportError(f"the design names {', '.join(foreign)[:80] or 'a parameter twice'}; needed are: "
+                          f"{', '.join(space.names)}")  # fmt: skip
+    try:
+        return space.check([values[name].value for name in space.names])
+    except ValueError as error:
+        raise ExportError(str(error)) from error
+
+
+def starting_from(design: Design, space: DesignSpace) -> list[Parameter]:
+    """Return the parameters of a new run that starts from the design, with the task's own bounds."""
+    phi = phi_for(design, design.task, space)
+    return [msgspec.structs.replace(p, initial=float(v)) for p, v in zip(space.parameters, phi, strict=True)]

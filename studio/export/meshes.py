@@ -1,0 +1,111 @@
+"""Parts as mesh files: STL and 3MF in millimetres for printing, one GLB of the assembly in metres for looking at."""
+
+import io
+import zipfile
+from collections.abc import Mapping, Sequence
+from xml.etree import ElementTree
+from xml.sax.saxutils import escape
+
+import mujoco
+import numpy as np
+import trimesh
+from trimesh.exchange.gltf import export_glb
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
+
+from studio.export.archive import zipped
+from studio.export.parts import BASE, MILLIMETRE, Part
+
+_CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+_RELATIONS = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">
+<Relationship Target="/3D/3dmodel.model" Id="rel0" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
+</Relationships>
+"""
+_TYPES = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
+<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>
+<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>
+</Types>
+"""
+BETWEEN_COPIES = 10.0  # mm on the print bed
+
+
+def stl(vertices: np.ndarray, faces: np.ndarray, title: str) -> bytes:
+    """Return a binary STL, single precision."""
+    corners = vertices[faces]  # (F, 3, 3)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    table = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    table["normal"] = normals / np.where(length == 0, 1.0, length)
+    table["corners"] = corners
+    return title.encode("ascii", "replace")[:80].ljust(80) + len(faces).to_bytes(4, "little") + table.tobytes()
+
+
+def three_mf(part: Part) -> bytes:
+    """Return a 3MF with the part once as an object, and as many copies on the bed as the robot needs."""
+    name, links = escape(part.name, {'"': "&quot;"}), escape(", ".join(part.links))
+    step = float(part.size[1]) + BETWEEN_COPIES
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f'<model unit="millimeter" xml:lang="en-US" xmlns="{_CORE}">',
+        f'<metadata name="Title">{name}</metadata>',
+        f'<metadata name="Description">print {part.quantity}: {links}</metadata>',
+        f'<resources><object id="1" type="model" name="{name}"><mesh><vertices>',
+        *(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in part.vertices.tolist()),
+        "</vertices><triangles>",
+        *(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in part.faces.tolist()),
+        "</triangles></mesh></object></resources><build>",
+        *(f'<item objectid="1" transform="1 0 0 0 1 0 0 0 1 0 {i * step!r} 0"/>' for i in range(part.quantity)),
+        "</build></model>",
+    ]
+    text = "\n".join(lines).encode()
+    return zipped(
+        {"[Content_Types].xml": _TYPES.encode(), "_rels/.rels": _RELATIONS.encode(), "3D/3dmodel.model": text}
+    )
+
+
+def read_three_mf(content: bytes) -> tuple[np.ndarray, np.ndarray, int, str, str]:
+    """Return vertices (V, 3), faces (F, 3), copies, name and unit; raise ValueError or KeyError for another shape."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        root = ElementTree.fromstring(archive.read("3D/3dmodel.model"))
+    things = root.findall(f".//{{{_CORE}}}object")
+    if len(things) != 1:
+        raise ValueError(f"{len(things)} objects where one part belongs")
+    vertices = [[float(v.attrib[c]) for c in "xyz"] for v in things[0].iter(f"{{{_CORE}}}vertex")]
+    faces = [[int(t.attrib[c]) for c in ("v1", "v2", "v3")] for t in things[0].iter(f"{{{_CORE}}}triangle")]
+    copies = len(root.findall(f".//{{{_CORE}}}item"))
+    return np.array(vertices), np.array(faces), copies, things[0].get("name", ""), root.get("unit", "")
+
+
+def glb(parts: Sequence[Part], model: mujoco.MjModel, colours: Mapping[str, np.ndarray]) -> bytes:
+    """Return the assembly in the model's start posture, in metres, its nodes named like the links; y is up."""
+    data = start_posture(model)
+    scene = trimesh.Scene(base_frame="world")
+    upright = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    for part in parts:
+        for link in part.links:
+            body = 0 if link == BASE else model.body(link).id
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
+            mesh = trimesh.Trimesh(part.vertices * MILLIMETRE, part.faces, process=False)
+            mesh.visual = TextureVisuals(
+                material=PBRMaterial(
+                    baseColorFactor=np.round(255 * colours[link]).astype(np.uint8), metallicFactor=0.0,
+                    roughnessFactor=0.7,
+                )
+            )  # fmt: skip
+            mesh.unmerge_vertices()  # sharp edges
+            scene.add_geometry(mesh, node_name=link, geom_name=link, transform=upright @ pose)
+    return export_glb(scene)
+
+
+def start_posture(model: mujoco.MjModel) -> mujoco.MjData:
+    """Return the model in its first keyframe, if it has one."""
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    return data

@@ -1,0 +1,142 @@
+"""The policy of a checkpoint as plain arrays, run with numpy alone; and its success on a robot read from files."""
+
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import msgspec
+import mujoco
+import numpy as np
+import safetensors
+from safetensors.numpy import load_file
+
+from morph_core.history import History
+from morph_core.rollout import collect
+from morph_core.task import Hardware, Task
+from morph_core.tasks.grasp import SUBSTEPS, GraspTask, HandPhysics
+from studio.export.errors import ExportError
+
+LAYERS = 3
+SMALLEST_STD, LARGEST_STD = 0.02, 2.0
+"""As in `morph_core.networks`, which needs torch."""
+_SHIPPED = Path(__file__).parent / "shipped"
+
+
+@dataclass(frozen=True)
+class Policy:
+    """pi_theta(a | s) = N(mean, std^2), in units of the largest action; the mean has tanh between its layers."""
+
+    weights: list[np.ndarray]
+    biases: list[np.ndarray]
+    std: np.ndarray  # (action_size,)
+    iteration: int
+    """Of the checkpoint."""
+
+    def act(self, observation: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
+        """Return actions (N, action_size) for observations (N, o); the mean where `rng` is None."""
+        x = observation
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = np.einsum("ni,oi->no", x, weight) + bias  # BLAS waits for its threads on a busy machine
+            x = np.tanh(x) if i < len(self.weights) - 1 else x
+        return x if rng is None else x + self.std * rng.standard_normal(x.shape, dtype=np.float32)
+
+
+class Score(msgspec.Struct, frozen=True):
+    """How often the sampled policy reached the goal."""
+
+    episodes: int
+    success: float
+    where: str = ""
+
+    def allowed(self, other: "Score") -> float:
+        """Return how far two such shares may lie apart by chance: three standard deviations, and one episode."""
+        n, m = self.episodes, other.episodes
+        share = (self.success * n + other.success * m + 1) / (n + m + 2)
+        return 3 * math.sqrt(share * (1 - share) * (1 / n + 1 / m)) + 1 / min(n, m)
+
+
+def policy_at(history: History, iteration: int) -> Policy | None:
+    """Return the policy of the newest checkpoint up to `iteration`, or None; ExportError if it is damaged."""
+    saved = [i for i in history.folder.checkpoint_iterations() if i <= iteration]
+    if not saved:
+        return None
+    path = history.folder.checkpoint(saved[-1]) / "weights.safetensors"
+    try:
+        tensors = load_file(path)
+        weights = [tensors[f"policy/mean.{2 * i}.weight"] for i in range(LAYERS)]
+        biases = [tensors[f"policy/mean.{2 * i}.bias"] for i in range(LAYERS)]
+        std = np.clip(np.exp(tensors["policy/log_std"]), SMALLEST_STD, LARGEST_STD)
+    except (OSError, KeyError, ValueError, safetensors.SafetensorError) as error:
+        raise ExportError(f"the policy of checkpoint {saved[-1]} can't be read: {error}") from error
+    if not all(np.isfinite(array).all() for array in (*weights, *biases, std)):
+        raise ExportError(f"the policy of checkpoint {saved[-1]} holds numbers that are not finite")
+    return Policy(weights, biases, std, saved[-1])
+
+
+def policy_files(policy: Policy, task: Task) -> dict[str, bytes]:
+    """Return policy.npz and the program that runs it."""
+    arrays: dict[str, np.ndarray] = {"std": policy.std, "horizon": np.array(task.horizon)}
+    for i, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
+        arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
+    if isinstance(task, GraspTask):
+        middle, spread = _observation_units(task)
+        scale = np.array([task.palm_step, *[task.joint_step] * (2 * task.fingers)])
+        arrays |= {"middle": middle, "spread": spread, "action_scale": scale, "substeps": np.array(SUBSTEPS)}
+        runner = "run_hand.py"
+    else:
+        arrays["action_scale"] = np.full(task.action_size, cast(Any, task).action_scale)
+        runner = "run_arm.py"
+    buffer = io.BytesIO()
+    np.savez(buffer, **cast(dict[str, Any], arrays))
+    return {"policy.npz": buffer.getvalue(), "run_policy.py": (_SHIPPED / runner).read_bytes()}
+
+
+def read_policy(content: bytes) -> Policy:
+    """Return the policy of a policy.npz; raise ValueError or KeyError for anything else. Nothing is unpickled."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        weights, biases = ([arrays[f"{name}_{i}"] for i in range(LAYERS)] for name in ("weight", "bias"))
+        return Policy(weights, biases, arrays["std"], 0)
+
+
+def score(task: Task, policy: Policy, hardware: Hardware, episodes: int, where: str, seed: int = 0) -> Score:
+    """Run the sampled policy on `hardware`; episodes whose simulation diverges have failed."""
+    rng = np.random.default_rng(seed)
+    start = task.reset(hardware, episodes, rng)
+    rollout = collect(task, lambda seen: policy.act(seen, rng), hardware, start)
+    return Score(episodes, float(rollout.successes.sum()) / episodes, where)
+
+
+def hardware_of(task: Task, scene: mujoco.MjSpec, phi: np.ndarray) -> Hardware:
+    """Return Hw-Phy with the robot of `scene`, as it was read from a file, in place of the one that phi (d,) makes."""
+    if isinstance(task, GraspTask):
+        return HandPhysics(cast(GraspTask, _Reloaded(task, scene)), phi)
+    model = scene.compile()
+    ends = [model.body(f"link_{i}").pos[0] for i in range(2, len(phi) + 1)]
+    return task.hw_phy(np.array([*ends, model.site("tip").pos[0]]))
+
+
+class _Reloaded:
+    """A task whose scene came from a file."""
+
+    def __init__(self, task: GraspTask, scene: mujoco.MjSpec) -> None:
+        self._task, self._scene = task, scene
+
+    def scene(self, _: np.ndarray) -> mujoco.MjSpec:
+        return self._scene
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._task, name)
+
+
+def _observation_units(task: GraspTask) -> tuple[np.ndarray, np.ndarray]:
+    """Return middle and spread (o,) of what the policy sees: observation = (qpos - middle) / spread."""
+    size = task.observation_size
+    states = np.zeros((size + 1, task.state_size))
+    states[1:, :size] = np.eye(size)
+    seen = task.observe(states).astype(float)
+    spread = 1 / np.diag(seen[1:] - seen[0])
+    middle = -seen[0] * spread
+    # The task rounds what it shows to single precision; its own numbers have few digits.
+    return np.array([float(f"{m:.5g}") for m in middle]), np.array([float(f"{s:.5g}") for s in spread])

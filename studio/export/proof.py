@@ -1,0 +1,226 @@
+"""Whether a bundle keeps its promise: files whole, parts sound and as heavy as simulated, the policy as able."""
+
+import hashlib
+import io
+import math
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import msgspec
+import mujoco
+import numpy as np
+import trimesh
+from manifold3d import Error, Manifold, Mesh64
+
+from morph_core.task import Task
+from morph_core.tasks import make_task
+from studio.export.check import Check, worst
+from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
+from studio.export.meshes import read_three_mf, start_posture
+from studio.export.parts import BASE, MILLIMETRE
+from studio.export.policy import Score, hardware_of, read_policy, score
+from studio.export.provenance import Provenance
+from studio.export.readings import collision_box, read_mjcf
+from studio.export.verify import verify
+from studio.geometry import moments
+
+MASS_ALLOWED = 1e-6
+"""Relative: STL and GLB are single precision."""
+SINGLE_ALLOWED = 1e-6  # relative to the robot's size
+SCENE_ALLOWED = 1e-9
+_DYNAMICS = (
+    "body_mass", "body_ipos", "body_iquat", "body_inertia", "body_pos", "body_quat", "body_gravcomp", "jnt_type",
+    "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "dof_armature", "dof_damping", "actuator_gainprm",
+    "actuator_biasprm", "actuator_forcerange", "actuator_ctrlrange", "sensor_type",
+)  # fmt: skip
+PROVENANCE = "provenance.json"
+Surface = tuple[np.ndarray, np.ndarray]
+"""Vertices (V, 3) m and faces (F, 3)."""
+
+
+def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = False) -> list[Check]:
+    """Check a bundle's files against one another, and against the robot that its phi makes here.
+
+    Whatever is wrong is a failed check, not an exception.
+    """
+    checks = [check_digests(files)]
+    try:
+        design = read_design(files.get(FILE, b""))
+        task = make_task(design.task, design.task_options)
+        phi = phi_for(design, task.name, task.design_space)
+        checks += prove_robot(files, design, task, phi, only_mujoco=only_mujoco)
+        if episodes and "policy.npz" in files:
+            checks += prove_policy(files, task, phi, _promised(files), episodes)[1]
+    except (ValueError, TypeError) as error:
+        checks.append(Check(FILE, math.inf, 0.0, f"can't be read: {error}"))
+    return checks
+
+
+def prove_robot(
+    files: Mapping[str, bytes], design: Design, task: Task, phi: np.ndarray, *, only_mujoco: bool = False
+) -> list[Check]:
+    """Compare MJCF, URDF and parts with the robot that phi (d,) makes."""
+    model = task.spec(phi).compile()
+    checks = verify(files, model, robot=design.robot, only_mujoco=only_mujoco)
+    for part in design.parts:
+        checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model))
+    if "assembly.glb" in files:
+        checks += _guarded("assembly.glb", lambda: _check_assembly(files["assembly.glb"], design, model))
+    return checks
+
+
+def prove_policy(
+    files: Mapping[str, bytes], task: Task, phi: np.ndarray, promised: list[Score], episodes: int
+) -> tuple[Score | None, list[Check]]:
+    """Run the policy on the scene read from its file, and compare its success with what is `promised`."""
+    name = "policy"
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            unpack(files, Path(folder))
+            scene = mujoco.MjSpec.from_file(str(Path(folder) / "scene.xml"))
+            reloaded = scene.compile()
+            found = score(task, read_policy(files["policy.npz"]), hardware_of(task, scene, phi), episodes, "reloaded")
+    except (ValueError, KeyError, OSError, mujoco.FatalError) as error:
+        return None, [Check(name, math.inf, 0.0, f"can't be run: {error}")]
+    checks = [_compare_scenes(task.scene(phi).compile(), reloaded)]
+    for other in promised:
+        off = abs(other.success - found.success)
+        said = (
+            f"{found.success:.1%} of {found.episodes} episodes; {other.where}: {other.success:.1%} of {other.episodes}"
+        )
+        checks.append(Check(f"{name}: success", off, found.allowed(other), said))
+    if not promised:
+        checks.append(Check(f"{name}: runs", 0.0, 0.0, f"{found.success:.1%} of {found.episodes} episodes"))
+    return found, checks
+
+
+def _compare_scenes(simulated: mujoco.MjModel, reloaded: mujoco.MjModel) -> Check:
+    """Compare what moves, and how it is driven; shapes that are only shown were added to the file."""
+    name = "scene.xml in MuJoCo: bodies, joints, servos, options"
+    off: dict[str, float] = {}
+    for field in _DYNAMICS:
+        one, other = np.asarray(getattr(simulated, field)), np.asarray(getattr(reloaded, field))
+        off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
+    off["timestep"] = abs(simulated.opt.timestep - reloaded.opt.timestep)
+    touching = [(m.geom_contype != 0) | (m.geom_conaffinity != 0) for m in (simulated, reloaded)]
+    for field in ("geom_size", "geom_pos", "geom_quat", "geom_friction", "geom_bodyid"):
+        one, other = (getattr(m, field)[t] for m, t in zip((simulated, reloaded), touching, strict=True))
+        off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
+    return worst(name, SCENE_ALLOWED, off)
+
+
+def unpack(files: Mapping[str, bytes], folder: Path) -> None:
+    """Write files whose paths were checked under `folder`."""
+    for path, content in files.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_bytes(content)
+
+
+def check_digests(files: Mapping[str, bytes]) -> Check:
+    """Compare every file with its digest in provenance.json."""
+    name = f"{PROVENANCE}: digests"
+    try:
+        expected = msgspec.json.decode(files.get(PROVENANCE, b""), type=Provenance).sha256
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        return Check(name, math.inf, 0.0, f"can't be read: {error}")
+    found = {path: hashlib.sha256(content).hexdigest() for path, content in files.items() if path != PROVENANCE}
+    wrong = sorted(path for path in found.keys() | expected.keys() if found.get(path) != expected.get(path))
+    return Check(
+        name, float(len(wrong)), 0.0, f"{len(found)} files" if not wrong else f"differ: {', '.join(wrong[:3])}"
+    )
+
+
+def _promised(files: Mapping[str, bytes]) -> list[Score]:
+    try:
+        return msgspec.json.decode(files[PROVENANCE], type=Provenance).policy
+    except (KeyError, msgspec.DecodeError):
+        return []
+
+
+def _guarded(name: str, check: Callable[[], list[Check]]) -> list[Check]:
+    try:
+        return check()
+    except Exception as error:  # whatever a reader throws at a broken file is the finding
+        return [Check(name, math.inf, 0.0, f"can't be read: {error}")]
+
+
+def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjModel) -> list[Check]:
+    checks: list[Check] = []
+    surfaces: dict[str, Surface] = {}
+    stl, three_mf = f"parts/{part.name}.stl", f"3mf/{part.name}.3mf"
+    if stl in files:
+        mesh = trimesh.load_mesh(io.BytesIO(files[stl]), file_type="stl")
+        surfaces[stl] = np.asarray(mesh.vertices) * MILLIMETRE, np.asarray(mesh.faces)
+    if three_mf in files:
+        vertices, faces, copies, name, unit = read_three_mf(files[three_mf])
+        surfaces[three_mf] = vertices * MILLIMETRE, faces
+        sound = copies == len(part.links) and name == part.name and unit == "millimeter"
+        said = f"{copies} x {name} in {unit}"
+        checks.append(Check(f"{three_mf}: quantity, name and unit", float(not sound), 0.0, said))
+    for path, surface in surfaces.items():
+        checks.append(_check_solid(path, surface))
+        checks += [c for link in part.links if link != BASE for c in _check_mass(path, surface, model, link)]
+    return checks
+
+
+def _check_solid(path: str, surface: Surface) -> Check:
+    """Check that a surface is watertight, outside out, and one body."""
+    mesh = trimesh.Trimesh(*surface, process=False)
+    body = Manifold(Mesh64(surface[0], surface[1].astype(np.uint64)))
+    faults = [
+        said
+        for fault, said in (
+            (not mesh.is_watertight, "not watertight"),
+            (not mesh.is_volume, "no volume"),
+            (body.status() != Error.NoError, f"no solid ({body.status().name})"),
+            (len(body.decompose()) != 1, f"{len(body.decompose())} bodies"),
+        )
+        if fault
+    ]
+    return Check(f"{path}: watertight, a volume, one body", float(len(faults)), 0.0, "; ".join(faults))
+
+
+def _check_mass(path: str, surface: Surface, model: mujoco.MjModel, link: str) -> list[Check]:
+    """Compare a printed part with the body that is simulated, and see that its collision shapes enclose it."""
+    body = model.body(link).id
+    printed = moments(*surface).inertial()
+    mass, reading = model.body_mass[body], read_mjcf(model)
+    inertia = reading.inertias[link]
+    off_centre = np.abs(printed.com - model.body_ipos[body]).max() / np.ptp(surface[0], axis=0).max()
+    checks = [
+        Check(f"{path}: mass of {link}", abs(printed.mass - float(mass)) / float(mass), MASS_ALLOWED),
+        Check(f"{path}: centre of mass of {link}", float(off_centre), MASS_ALLOWED),
+        Check(
+            f"{path}: inertia of {link}", float(np.abs(printed.inertia - inertia).max() / inertia.max()), MASS_ALLOWED
+        ),
+    ]
+    box = collision_box(model, body, np.zeros(3))
+    forks = int((model.body_parentid[1:] == body).sum()) > 1  # a palm's mounts are enclosed by the fingers' ends
+    if box is not None and not forks:
+        out = max((box[0] - surface[0].min(0)).max(), (surface[0].max(0) - box[1]).max(), 0.0)
+        checks.append(Check(f"{path}: inside the collision shapes of {link} (m)", float(out), SINGLE_ALLOWED))
+    return checks
+
+
+def _check_assembly(content: bytes, design: Design, model: mujoco.MjModel) -> list[Check]:
+    """Check that each link's node stands where the link does at the start, and is as heavy as the part."""
+    scene = trimesh.load_scene(io.BytesIO(content), file_type="glb")
+    data = start_posture(model)
+    down = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from y up to z up
+    size = float(scene.extents.max())
+    places: dict[str, float] = {}
+    masses: dict[str, float] = {}
+    for part in design.parts:
+        for link in part.links:
+            body = 0 if link == BASE else model.body(link).id
+            pose, geometry = scene.graph[link]
+            places[link] = float(np.abs(down @ pose[:3, 3] - data.xpos[body]).max()) / size
+            mesh = scene.geometry[geometry].copy()
+            mesh.merge_vertices(merge_norm=True, merge_tex=True)
+            mass = moments(np.asarray(mesh.vertices), np.asarray(mesh.faces)).inertial().mass
+            masses[link] = abs(mass - part.mass) / part.mass
+    return [
+        worst("assembly.glb: positions of the links", SINGLE_ALLOWED, places),
+        worst("assembly.glb: masses", MASS_ALLOWED, masses),
+    ]
