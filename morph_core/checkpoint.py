@@ -40,6 +40,7 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
             "alpha": state.alpha,
             "projection": state.projection,
             "fitted": state.fitted,
+            "frozen": state.frozen,
             "rng": state.rng.bit_generator.state,
             "cpu_seconds": cpu_seconds,
         }
@@ -80,7 +81,8 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, config: Confi
         state.relabelled_steps, state.truncations = facts["relabelled_steps"], facts["truncations"]
         state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]
         state.phi = space.check(facts["phi"])
-        state.alpha, state.projection, state.fitted = facts["alpha"], facts["projection"], facts["fitted"]
+        state.alpha, state.projection = facts["alpha"], facts["projection"]
+        state.fitted, state.frozen = facts["fitted"], facts["frozen"]
         state.rng.bit_generator.state = facts["rng"]
         _restore(state, tensors)
         return state, facts["cpu_seconds"]

@@ -87,9 +87,9 @@ class Config:
     """Sigma of the designs drawn around phi at the start, in units of each parameter's scale."""
     design_sigma_end: float = 0.2
     """The same at the end of the schedule (geometric in between)."""
-    freeze_iteration: int = 0
-    """From this iteration on phi stays and every episode runs on it, so that the policy settles on one design.
-    0: never."""
+    freeze_success: float = 0.0
+    """Once this share of an iteration's trajectories succeeds, phi stays and every episode runs on it: ranks of equally
+    good episodes are noise, in which phi would drift while the policy could settle on one design. 0: never."""
     direct_step: float = 1.5
     """Step of the natural evolution strategy of the method `direct`."""
 
@@ -126,10 +126,10 @@ _AT_LEAST_ONE = {
 }  # fmt: skip
 _MAY_BE_ZERO = {
     "alpha", "entropy_coef", "proxy_prefit", "kappa", "direct_step", "proxy_pairs", "schedule_hold",
-    "restart_interval", "drift_clip", "freeze_iteration",
+    "restart_interval", "drift_clip", "freeze_success",
     "design_correlation", "drift_ridge",
 }  # fmt: skip
-_SHARES = {"schedule_hold", "design_correlation"}
+_SHARES = {"schedule_hold", "design_correlation", "freeze_success"}
 _FRACTIONS = {"gamma", "gae_lambda", "learning_rate_end"}
 
 

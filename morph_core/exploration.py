@@ -25,9 +25,7 @@ def annealed(first: float, last: float, iteration: int, config: Config, hold: fl
 
 
 def design_sigma(iteration: int, config: Config) -> float:
-    """Sigma of the explored designs in units of each parameter's scale; 0 once phi is frozen."""
-    if 0 < config.freeze_iteration <= iteration:
-        return 0.0
+    """Sigma of the explored designs in units of each parameter's scale, while phi is not frozen."""
     return annealed(config.design_sigma, config.design_sigma_end, iteration, config, config.schedule_hold)
 
 

@@ -35,14 +35,14 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
         if not state.fitted:
             fit_proxy(task, state, config)
             state.fitted = True
-        sigma = design_sigma(iteration, config)
+        sigma = 0.0 if state.frozen else design_sigma(iteration, config)
         set_learning_rates(state, iteration, config)
         hw_phy = task.hw_phy(state.phi)
 
         world = explored_world(task, state, config, sigma)  # line 2
         rollout = run_trajectories(task, state, world, config)
         if not rollout.holds_enough:
-            yield state.skip(iteration, rollout)
+            yield state.skip(iteration, rollout, config)
             continue
 
         batch = make_batch(task, learner, rollout, config)  # line 3, Eq. 2
@@ -59,7 +59,7 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
         state.relabelled_steps += pairs.steps
 
         search_cost = None
-        if iteration % config.design_interval == 0 and sigma > 0:  # line 4
+        if iteration % config.design_interval == 0 and not state.frozen:  # line 4
             dataset = relabel(rollout, learner, config.search_pairs, state.rng)  # line 5
             seed = int(state.rng.integers(1, 2**31))
             search = derive_design(  # line 6, Eq. 3
@@ -69,7 +69,7 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
             state.phi, search_cost = search.phi, search.cost
             state.relabelled_steps += search.steps
 
-        state.advance(iteration, rollout)
+        state.advance(iteration, rollout, config)
         yield Progress(
             iteration=iteration,
             env_steps=state.env_steps,

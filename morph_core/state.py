@@ -67,6 +67,8 @@ class State:
     """Whether the proxy has been fitted to Hw-Phy at the initial design."""
     explored: np.ndarray | None = None  # (N, d)
     """The designs that the last iteration explored, for people; no checkpoint holds them."""
+    frozen: bool = False
+    """Whether phi stays, and with it every explored design."""
     relabelled_steps: int = 0
     """Steps of Hw-Phy outside of trajectories: relabelling, and the search for phi."""
     truncations: int = 0
@@ -76,15 +78,16 @@ class State:
     last_reached: int = 0
     """The last iteration in which episodes reached every milestone of the task."""
 
-    def advance(self, iteration: int, rollout: Rollout) -> None:
+    def advance(self, iteration: int, rollout: Rollout, config: Config) -> None:
         """Note that an iteration is over, and what its trajectories took."""
         self.iteration = iteration
         self.env_steps += rollout.steps
         self.truncations += rollout.truncations
+        self.frozen = self.frozen or 0 < config.freeze_success <= rollout.success_rate
 
-    def skip(self, iteration: int, rollout: Rollout) -> Progress:
+    def skip(self, iteration: int, rollout: Rollout, config: Config) -> Progress:
         """Note an iteration that leaves nothing to learn from: almost every simulation diverged."""
-        self.advance(iteration, rollout)
+        self.advance(iteration, rollout, config)
         return Progress(
             iteration=iteration,
             env_steps=self.env_steps,

@@ -298,9 +298,13 @@ def apply_edit(command: AnyCommand, state: State) -> str:
 
 
 def _move(state: State, space: DesignSpace, phi: np.ndarray) -> None:
-    """Put the new box and phi in force; a proxy of another design would pull phi back, so it is fitted afresh."""
+    """Put the new box and phi in force; a proxy of another design would pull phi back, so it is fitted afresh.
+
+    The search goes on, even where it had been found good enough to freeze phi.
+    """
     inside = space.clip(phi)
     state.fitted = state.fitted and bool(np.array_equal(inside, state.phi))
+    state.frozen = False
     state.design_space, state.phi = space, inside
 
 

@@ -15,13 +15,13 @@ def direct(task: Task, config: Config, state: State) -> Iterator[Progress]:
     """Yield one Progress per iteration, for ever; the yardstick for how much design signal an iteration holds."""
     learner = state.learner
     for iteration in itertools.count(state.iteration + 1):
-        sigma = design_sigma(iteration, config)
+        sigma = 0.0 if state.frozen else design_sigma(iteration, config)
         set_learning_rates(state, iteration, config)
         designs = explore_designs(state, config.trajectories, sigma, config.design_correlation)
         hw_phy = task.hw_phy(designs)
         rollout = run_trajectories(task, state, hw_phy, config)
         if not rollout.holds_enough:
-            yield state.skip(iteration, rollout)
+            yield state.skip(iteration, rollout, config)
             continue
         improve_control(state, make_batch(task, learner, rollout, config), iteration, config)
         restart_control(task, state, rollout, iteration, config)
@@ -29,7 +29,7 @@ def direct(task: Task, config: Config, state: State) -> Iterator[Progress]:
         # E[A (phi_i - phi)], the natural gradient
         step = (advantage[:, None] * (designs[rollout.kept] - state.phi)).mean(0)
         state.phi = state.design_space.clip(state.phi + config.direct_step * step)
-        state.advance(iteration, rollout)
+        state.advance(iteration, rollout, config)
         yield Progress(
             iteration=iteration,
             env_steps=state.env_steps,

@@ -19,11 +19,11 @@ def no_hw_opt(task: Task, config: Config, state: State) -> Iterator[Progress]:
         hw_phy = task.hw_phy(state.phi)
         rollout = run_trajectories(task, state, hw_phy, config)
         if not rollout.holds_enough:
-            yield state.skip(iteration, rollout)
+            yield state.skip(iteration, rollout, config)
             continue
         improve_control(state, make_batch(task, learner, rollout, config), iteration, config)
         restart_control(task, state, rollout, iteration, config)
-        state.advance(iteration, rollout)
+        state.advance(iteration, rollout, config)
         yield Progress(
             iteration=iteration,
             env_steps=state.env_steps,

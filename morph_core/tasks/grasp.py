@@ -156,7 +156,7 @@ class GraspTask(ABC):
         if self.grasp not in ("any_two", "two_besides_presser"):
             raise ValueError(f'unknown grasp "{self.grasp}"; choose from: any_two, two_besides_presser')
         for name, value in vars(self).items():
-            if isinstance(value, str):
+            if name in ("grasp", "z_unit"):
                 continue
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < np.inf:
                 raise ValueError(f"{name} must be a finite number, not negative, and is {value!r}")
@@ -171,7 +171,7 @@ class GraspTask(ABC):
             restart_interval=30, utility="log_rank", advantage_limit=5.0, design_correlation=0.5,
             design_sigma=1.0, design_sigma_end=0.2, schedule_hold=0.4, direct_step=0.5, search="drift",
             design_interval=2, proxy_pairs=1024, search_pairs=256, search_population=10, search_generations=6,
-            proxy_prefit=10, kappa=1.0, drift_clip=0.2, drift_ridge=1.0,
+            proxy_prefit=10, kappa=1.0, schedule_iterations=80, freeze_success=0.5, drift_clip=0.2, drift_ridge=1.0,
         )  # fmt: skip
 
     @property

@@ -23,7 +23,7 @@ DISTAL_RANGE = (-0.6, 2.2)  # rad, inward
 JOINT_KP, JOINT_KV, JOINT_TORQUE = 8.0, 0.6, 4.0  # N m/rad, N m s/rad, N m
 JOINT_DAMPING, JOINT_ARMATURE = 0.1, 0.01  # N m s/rad, kg m^2
 START_PROXIMAL, START_DISTAL = 1.45, 0.25  # rad: fingers spread out and down
-START_CLEARANCE = 0.09  # m: palm above the fingertips' lowest reach
+START_CLEARANCE = 0.09  # m: between table and fingertips
 LENGTH_BOX = (0.02, 0.4)  # m
 PLACEMENT_BOX = (-np.pi, np.pi)  # rad
 
@@ -40,6 +40,7 @@ class Hand:
 
     fingers: int
     initial_length: float
+    start_clearance: float = START_CLEARANCE
 
     @cached_property
     def base_angles(self) -> np.ndarray:
@@ -81,11 +82,11 @@ class Hand:
         return (distance < 2 * FINGER_RADIUS).any(-1)
 
     def start(self, phi: np.ndarray) -> np.ndarray:
-        """Return the start posture (..., joints) of designs phi (..., d): fingertips just above the table."""
+        """Return the start posture (..., joints) of designs phi (..., d): fingertips above the object."""
         longest = phi[..., self.fingers :].max(-1)
         reach = longest * (np.cos(START_PROXIMAL) + np.cos(START_PROXIMAL - START_DISTAL))
         q = np.empty((*phi.shape[:-1], self.joints))
-        q[..., 0] = np.clip(START_CLEARANCE + reach, *PALM_RANGE)
+        q[..., 0] = np.clip(self.start_clearance + reach, *PALM_RANGE)
         q[..., 1::2], q[..., 2::2] = START_PROXIMAL, START_DISTAL
         return q
 

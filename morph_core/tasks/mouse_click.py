@@ -1,7 +1,7 @@
 """Mouse-clicking: a hand of five fingers lifts a computer mouse and presses its left button."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -10,13 +10,15 @@ import numpy as np
 
 from morph_core.tasks import palette
 from morph_core.tasks.grasp import OBJECT_FRICTION, GraspTask, add_button, add_free_body
-from morph_core.tasks.hand import OBJECT_CONTACT
+from morph_core.tasks.hand import OBJECT_CONTACT, Hand
 
 # Beside morph_core in a checkout and in site-packages alike; an import could find someone else's folder "assets".
 ASSETS = Path(__file__).parents[2] / "assets"
 PARTS = ("body", "left", "right")
-BUTTON_MIDDLE, BUTTON_HALF_SIZE = (0.33, 0.24, 0.2), (0.12, 0.16, 0.1)
+BUTTON_MIDDLE, BUTTON_HALF_SIZE = (0.31, 0.15, 0.2), (0.15, 0.24, 0.12)
 """Of the mouse's length, width and height, from its middle: above the recess of its left front."""
+
+START_GAP = 0.03  # m: between mouse and fingertips
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,10 @@ class MouseClick(GraspTask):
     name: ClassVar[str] = "mouse_click"
     title: ClassVar[str] = "5-finger hand lifts a mouse and presses its button"
     fingers: ClassVar[int] = 5
+
+    @cached_property
+    def hand(self) -> Hand:
+        return Hand(self.fingers, self.initial_length, self.height + START_GAP)
 
     @property
     def half_extents(self) -> np.ndarray:

@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -139,13 +140,26 @@ def test_by_drift_the_proxy_is_paired_with_a_reference_and_settles_after_each_se
 
 
 @pytest.mark.parametrize("method", ["morph", "direct"])
-def test_from_the_freeze_on_phi_stays_and_every_episode_runs_on_it(method: str, small: Config) -> None:
-    state = start(TASK, dataclasses.replace(small, freeze_iteration=3), 0)
-    progress = list(itertools.islice(METHODS[method](TASK, dataclasses.replace(small, freeze_iteration=3), state), 5))
+def test_where_phi_is_frozen_it_stays_and_every_episode_runs_on_it(method: str, small: Config) -> None:
+    state = start(TASK, small, 0)
+    iterations = METHODS[method](TASK, small, state)
+    progress = [next(iterations), next(iterations)]
+    state.frozen = True
+    progress += itertools.islice(iterations, 3)
     assert progress[0].phi != progress[1].phi == progress[2].phi == progress[4].phi
     assert [p.design_sigma for p in progress[2:]] == [0.0] * 3
     assert state.explored is not None
     assert (state.explored == state.phi).all()
+
+
+@pytest.mark.parametrize(("success", "frozen"), [(0.5, True), (0.49, False)])
+def test_phi_is_frozen_once_enough_trajectories_succeed(success: float, frozen: bool, small: Config) -> None:
+    state = start(TASK, small, 0)
+    rollout = SimpleNamespace(steps=1, truncations=0, success_rate=success)
+    state.advance(1, rollout, dataclasses.replace(small, freeze_success=0.5))  # pyright: ignore
+    assert state.frozen == frozen
+    state.advance(2, SimpleNamespace(steps=1, truncations=0, success_rate=0.0), small)  # pyright: ignore
+    assert state.frozen == frozen  # it does not thaw by itself
 
 
 @pytest.mark.parametrize("method", sorted(METHODS))
