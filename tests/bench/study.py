@@ -1,10 +1,12 @@
 """Seeds of a method on a task, measured on Hw-Phy: `python tests/bench/study.py --help`. Prints rows as they come.
 
-Each row says when the sampled policy first succeeded in 95 % (and the deterministic one in 80 %) of the episodes with
-the present phi, in environment steps and CPU seconds of one core, and where the run stood at the end of its budget.
+Each row says when the sampled and when the deterministic policy first succeeded in enough of the episodes with the
+present phi, in environment steps and CPU seconds of one core, and where the run stood at the end of its budget. Where
+Hw-Phy is a simulation, the steps that relabelling and the search for phi took are counted too.
 """
 
 import json
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
@@ -36,6 +38,14 @@ class Study:
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     env_steps: float = 0.7e6
     """Budget per run."""
+    level: float = 0.95
+    """Success of the sampled policy that counts as solved."""
+    deterministic_level: float = 0.80
+    """The same of the deterministic one."""
+    stop: bool = False
+    """End a run after two evaluations in a row at `level`."""
+    cores: tuple[int, ...] = ()
+    """Run on these cores alone, so that several studies can share a machine."""
     set: dict[str, str] = field(default_factory=dict)
     """Config fields, such as --set projection one_sided alpha 2."""
     option: dict[str, str] = field(default_factory=dict)
@@ -55,9 +65,17 @@ class Row:
     seed: int
     env_steps: int = 0
     cpu_seconds: float = 0.0
-    sampled_95: tuple[int, float] | None = None
-    """(environment steps, CPU seconds) at the first evaluation with sampled success >= .95."""
-    deterministic_80: tuple[int, float] | None = None
+    sampled_solved: tuple[int, float] | None = None
+    """(environment steps, CPU seconds) at the first evaluation with sampled success >= `level`."""
+    deterministic_solved: tuple[int, float] | None = None
+    curve: list[tuple[int, float, float, float]] = field(default_factory=list)
+    """(environment steps, CPU seconds, sampled, deterministic success) of every evaluation."""
+    milestones: dict[str, float] = field(default_factory=dict)
+    """Share of the final episodes that reached what comes before the goal."""
+    truncations: int = 0
+    """Episodes whose simulation diverged, in the whole run."""
+    restarts: int = 0
+    """How often policy and critic started afresh."""
     sampled: float = 0.0
     """Success over the final episodes."""
     deterministic: float = 0.0
@@ -80,25 +98,34 @@ def run_one(study: Study, settings: dict[str, Any], options: dict[str, Any], see
     state = start(task, config, seed)
     iterate: Callable[..., Iterator[Progress]] = METHODS[study.method]
     history: list[Progress] = []
+    simulated = not hasattr(task.hw_phy(state.phi), "jacobian")
+    control_start = 0
     for progress in iterate(task, config, state):
         history.append(progress)
+        taken = state.env_steps + simulated * state.relabelled_steps
+        row.restarts += state.control_start != control_start
+        control_start = state.control_start
         if progress.iteration % config.evaluation_interval == 0:
             rng = np.random.default_rng([seed, progress.iteration])
             policy, episodes = state.learner.policy, config.evaluation_episodes
             sampled, _ = evaluate(task, policy, state.phi, episodes, rng, sampled=True)
             mean, _ = evaluate(task, policy, state.phi, episodes, rng, sampled=False)
-            reached = (state.env_steps, time.process_time() - began)
-            if sampled.success >= 0.95 and row.sampled_95 is None:
-                row.sampled_95 = reached
-            if mean.success >= 0.8 and row.deterministic_80 is None:
-                row.deterministic_80 = reached
-        if progress.env_steps >= study.env_steps:
+            reached = (taken, time.process_time() - began)
+            row.curve.append((*reached, sampled.success, mean.success))
+            if sampled.success >= study.level and row.sampled_solved is None:
+                row.sampled_solved = reached
+            if mean.success >= study.deterministic_level and row.deterministic_solved is None:
+                row.deterministic_solved = reached
+            if study.stop and len(row.curve) > 1 and min(success for _, _, success, _ in row.curve[-2:]) >= study.level:
+                break
+        if taken >= study.env_steps:
             break
     row.explored = max(p.success for p in history)
-    row.env_steps, row.cpu_seconds = state.env_steps, time.process_time() - began
+    row.env_steps, row.cpu_seconds, row.truncations = taken, time.process_time() - began, state.truncations
     rng = np.random.default_rng([seed, 10**6])
     last, _ = evaluate(task, state.learner.policy, state.phi, FINAL_EPISODES, rng, sampled=True)
     row.sampled, row.episode_return, row.phi = last.success, last.episode_return, state.phi.tolist()
+    row.milestones = last.milestones
     row.deterministic = evaluate(task, state.learner.policy, state.phi, FINAL_EPISODES, rng, sampled=False)[0].success
     if history[-1].cosine_negative is not None:
         row.negative = float(np.mean([p.cosine_negative for p in history]))
@@ -112,17 +139,22 @@ def run_one(study: Study, settings: dict[str, Any], options: dict[str, Any], see
 
 def main(study: Study) -> None:
     torch.set_num_threads(1)
+    if study.cores:
+        os.sched_setaffinity(0, study.cores)
     settings = {name: _parse(value) for name, value in study.set.items()}
     options = {name: _parse(value) for name, value in study.option.items()}
     rows = []
     for seed in study.seeds:
         row = run_one(study, settings, options, seed)
         rows.append(row)
-        print(_line(row), flush=True)
+        print(_line(row, study), flush=True)
         if study.out:
             with study.out.open("a") as file:
                 file.write(json.dumps(asdict(row)) + "\n")
-    for label, name in (("sampled >= .95", "sampled_95"), ("deterministic >= .80", "deterministic_80")):
+    for label, name in (
+        (f"sampled >= {study.level:g}", "sampled_solved"),
+        (f"deterministic >= {study.deterministic_level:g}", "deterministic_solved"),
+    ):
         reached = [getattr(row, name) for row in rows if getattr(row, name)]
         print(f"{label}: {len(reached)} of {len(rows)} seeds", end="")
         if reached:
@@ -131,17 +163,20 @@ def main(study: Study) -> None:
         print()
 
 
-def _line(row: Row) -> str:
+def _line(row: Row, study: Study) -> str:
     def when(reached: tuple[int, float] | None) -> str:
         return f"{reached[0] / 1e6:.2f} M ({reached[1]:.0f} s)" if reached else "never"
 
+    milestones = "".join(f"{name} {share:.2f} " for name, share in row.milestones.items())
     extra = ""
     if row.negative is not None:
         extra = f" | negative {row.negative:.2f} D {row.first_divergence:.2f} -> {row.last_divergence:.2f}"
     return (
         f"{row.method} {row.settings} s{row.seed}: {row.env_steps / 1e6:.2f} M {row.cpu_seconds:.0f} CPU-s | "
-        f"sampled .95 {when(row.sampled_95)}, det .80 {when(row.deterministic_80)} | end sampled {row.sampled:.2f} "
-        f"det {row.deterministic:.2f} return {row.episode_return:.2f} explored <= {row.explored:.3f}{extra} | "
+        f"sampled {study.level:g} {when(row.sampled_solved)}, det {study.deterministic_level:g} "
+        f"{when(row.deterministic_solved)} | end sampled {row.sampled:.2f} det {row.deterministic:.2f} "
+        f"return {row.episode_return:.2f} {milestones}explored <= {row.explored:.3f} restarts {row.restarts} "
+        f"truncated {row.truncations}{extra} | "
         f"phi {np.round(row.phi, 2).tolist()}"
     )
 
