@@ -81,8 +81,8 @@ class Config:
     design_correlation: float = 0.0
     """Share of the variance of the explored designs that the parameters of a group have in common."""
     restart_interval: int = 0
-    """Iterations without reaching some milestone of the task after which policy and critic start afresh, phi stays:
-    a policy can have learnt to avoid what a better design could do. 0: never."""
+    """Iterations without reaching the first milestone of the task after which policy and critic start afresh, phi
+    stays: a policy can have learnt to avoid what a better design could do. 0: never."""
     design_sigma: float = 1.2
     """Sigma of the designs drawn around phi at the start, in units of each parameter's scale."""
     design_sigma_end: float = 0.2

@@ -100,9 +100,9 @@ def improve_control(state: State, batch: Batch, iteration: int, config: Config) 
 
 
 def restart_control(task: Task, state: State, rollout: Rollout, iteration: int, config: Config) -> None:
-    """Let policy and critic start afresh where they have been stuck before some milestone of the task."""
-    shares = [reached.any(0).mean() for reached in rollout.milestones.values()] if rollout.kept.any() else []
-    if not shares or min(shares) >= REACHED:
+    """Let policy and critic start afresh where they have been stuck before the first milestone of the task."""
+    first = next(iter(rollout.milestones.values()), None)
+    if first is None or first.any(0).mean() >= REACHED:
         state.last_reached = iteration
     if 0 < config.restart_interval <= iteration - state.last_reached:
         weights = torch.Generator().manual_seed(int(state.rng.integers(2**63)))

@@ -76,7 +76,7 @@ class State:
     control_start: int = 0
     """The iteration after which policy and critic last started afresh."""
     last_reached: int = 0
-    """The last iteration in which episodes reached every milestone of the task."""
+    """The last iteration in which episodes reached the first milestone of the task."""
 
     def advance(self, iteration: int, rollout: Rollout, config: Config) -> None:
         """Note that an iteration is over, and what its trajectories took."""

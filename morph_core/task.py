@@ -47,7 +47,7 @@ class Transition:
     success: np.ndarray
     """(N,) bool: the goal was reached in this step."""
     milestones: dict[str, np.ndarray]
-    """name -> (N,) bool: what had to come before the goal, for people."""
+    """name -> (N,) bool: what has to come before the goal, in this order."""
     contact: np.ndarray
     """(N, C, 3) m: up to C points where the robot touches something in this step, NaN for none."""
 
