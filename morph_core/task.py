@@ -150,7 +150,7 @@ class Task(Protocol):
 
     def scene(self, phi: np.ndarray) -> mujoco.MjSpec:
         """Return robot, objects, obstacles and goal: what is shown. The names of what never moves begin with "goal",
-        "wall" or "table"; a geom that has the name of a milestone lights up with it."""
+        "wall" or "table"; a geom "button" lights up with the milestone "pressed"."""
         ...
 
     def qpos(self, s: np.ndarray) -> np.ndarray:

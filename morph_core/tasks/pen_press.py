@@ -19,8 +19,8 @@ class PenPress(GraspTask):
 
     Task: grasp the pen, lift it and hold its button pressed while it is in the hand.
     Randomised: position and heading of the pen at the start.
-    Success: held, that is, the button pressed by a distal link while the pen is in the hand, in at least half of the
-    last ten control steps. `grasp` says what in the hand means.
+    Success: held: in at least half of the last ten control steps a distal link presses the button while the pen is in
+    the hand, 5 cm above the table with two fingers on it, or two besides the one that presses.
     """
 
     half_length: float = 0.28
