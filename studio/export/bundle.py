@@ -85,7 +85,7 @@ def _build(history: History, which: str, formats: Sequence[str] | None) -> tuple
     design = _design(history, task, which, iteration, phi, parts)
     policy = policy_at(history, iteration)
     try:
-        files = _robot_files(task, phi, parts, design.robot, formats)
+        files = robot_files(task, phi, parts, design.robot, formats)
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
     checks = prove_robot(files, design, task, phi, only_mujoco=True)
@@ -108,7 +108,7 @@ def _build(history: History, which: str, formats: Sequence[str] | None) -> tuple
     return files, checks
 
 
-def _robot_files(
+def robot_files(
     task: Task, phi: np.ndarray, parts: Sequence[Part], robot: str, formats: Sequence[str]
 ) -> dict[str, bytes]:
     """Return the robot in every format; its meshes are the files that are printed."""

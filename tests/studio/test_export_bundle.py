@@ -150,7 +150,7 @@ def test_a_recorded_design_outside_the_task_is_refused(history: History, phi: li
 def test_a_run_of_an_unknown_task_is_refused(history: History) -> None:
     record = msgspec.structs.replace(history.record, task="juggling")
     (history.folder.path / "run.json").write_bytes(msgspec.json.encode(record))
-    with pytest.raises(ExportError, match="choose from: .*reacher"):
+    with pytest.raises(ExportError, match=r"choose from: .*reacher"):
         build_bundle(History(history.folder), "best")
 
 

@@ -1,0 +1,335 @@
+"""A bundle proves that it is one robot: for any design, read again from its files; and a broken one is found out."""
+
+import io
+import itertools
+import json
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import trimesh
+from conftest import design_of, make_hand_run
+from safetensors.numpy import save_file
+
+from morph_core.history import History
+from morph_core.task import Task
+from morph_core.tasks import TASKS, make_task
+from morph_core.tasks.grasp import GraspTask
+from studio.export.archive import unzipped, zipped
+from studio.export.bundle import FORMATS, Bundle, build_bundle, robot_files
+from studio.export.design_file import Design, PartEntry, phi_for, read_design, starting_from
+from studio.export.errors import ExportError
+from studio.export.meshes import stl
+from studio.export.parts import printed_parts
+from studio.export.policy import Policy, Score, _observation_units
+from studio.export.proof import prove, prove_robot
+
+NAME = "<b>run \N{SNOWMAN} .." + "x" * 120
+
+
+def random_design(task: Task, rng: np.random.Generator) -> np.ndarray:
+    """Return a design (d,) inside the box, often on its faces, that can be assembled."""
+    space = task.design_space
+    while True:
+        phi = rng.uniform(space.lo, space.hi)
+        phi = np.where(rng.random(len(phi)) < 0.3, rng.choice([space.lo, space.hi]), phi)
+        if not isinstance(task, GraspTask) or not task.hand.interpenetrates(phi):
+            return phi
+
+
+def corners(task: Task) -> list[np.ndarray]:
+    space = task.design_space
+    lengths = np.array([p.unit == "m" for p in space.parameters])
+    return [np.where(lengths, space.lo, space.lo), np.where(lengths, space.hi, space.lo), space.hi]
+
+
+def faults_of(task: Task, phi: np.ndarray) -> list[str]:
+    parts = printed_parts(task, phi)
+    files = robot_files(task, phi, parts, "hand", FORMATS)
+    design = Design(
+        task=task.name, task_options={}, robot="hand", run="", design="", iteration=0, parameters=[],
+        parts=[PartEntry(part.name, list(part.links), part.inertial.mass) for part in parts],
+    )  # fmt: skip
+    return [str(check) for check in prove_robot(files, design, task, phi) if not check.passed]
+
+
+@pytest.mark.parametrize("name", sorted(TASKS))
+def test_every_file_of_a_corner_design_is_the_robot_that_is_simulated(name: str) -> None:
+    task = make_task(name)
+    for phi in corners(task):
+        assert faults_of(task, phi) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(TASKS))
+def test_every_file_of_a_hundred_designs_is_the_robot_that_is_simulated(name: str) -> None:
+    task, rng = make_task(name), np.random.default_rng(0)
+    for _ in range(100):
+        phi = random_design(task, rng)
+        assert faults_of(task, phi) == [], phi
+
+
+def test_a_hand_that_cannot_be_assembled_is_refused_with_the_reason() -> None:
+    task = make_task("pen_press")
+    phi = task.design_space.initial
+    phi[1] = -np.pi / 2 + 0.1  # finger 2 beside finger 1
+    with pytest.raises(ExportError, match=r"fingers 1 and 2 stand 6 mm apart on the palm, 30 mm are needed"):
+        printed_parts(task, phi)
+
+
+def test_equal_links_are_one_part_with_a_quantity() -> None:
+    task = make_task("pen_press")
+    parts = {part.name: part for part in printed_parts(task, task.design_space.initial)}
+    assert set(parts) == {"palm", "finger_1_proximal", "finger_1_distal"}
+    assert parts["finger_1_distal"].links == tuple(f"finger_{i}_distal" for i in range(1, 5))
+
+
+# --- a run's bundle ---
+
+
+def add_policy(history: History, task: Task, iteration: int, scale: float = 0.3) -> None:
+    """Put a checkpoint with a policy into the run."""
+    rng = np.random.default_rng(0)
+    sizes = [task.observation_size, 16, 16, task.action_size]
+    tensors = {"policy/log_std": np.full(task.action_size, -1.0, np.float32)}
+    for i, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
+        tensors[f"policy/mean.{2 * i}.weight"] = (scale * rng.standard_normal((outputs, inputs))).astype(np.float32)
+        tensors[f"policy/mean.{2 * i}.bias"] = np.zeros(outputs, np.float32)
+    path = history.folder.checkpoint(iteration)
+    path.mkdir(parents=True)
+    save_file(tensors, path / "weights.safetensors")
+    (path / "state.json").write_text("{}")
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
+    """The bundle of a pen hand, with a policy, from a run with a hostile name."""
+    folder = make_hand_run(tmp_path_factory.mktemp("runs"), "pen_press")
+    folder.path.rename(folder.path.with_name(NAME))
+    history = History(type(folder)(folder.path.with_name(NAME)))
+    add_policy(history, make_task("pen_press"), 0)  # of an earlier iteration: its success was never measured
+    return build_bundle(history, "best")
+
+
+def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
+    links = [f"finger_{i}_{part}" for i in (1, 2) for part in ("proximal", "distal")]  # 2 = 3 = 4
+    assert set(bundle.files) == {
+        "hand.xml", "hand.mjz", "scene.xml", "hand.urdf", "control.json", "assembly.glb", "policy.npz", "run_policy.py",
+        "design.json", "provenance.json", "BOM.csv", "report.html", "LICENSE", "README.txt",
+        *(f"{folder}/{part}.{ending}" for folder, ending in (("parts", "stl"), ("3mf", "3mf"))
+          for part in ("palm", *links)),
+    }  # fmt: skip
+    assert all(check.passed for check in prove(bundle.files, episodes=4))
+    rows = bundle.files["BOM.csv"].decode().splitlines()
+    assert any(row.startswith("finger_2_distal,3,finger_2_distal finger_3_distal finger_4_distal,") for row in rows)
+    assert any(row.startswith("dowel pin 4 x 22 mm,8") for row in rows)
+    control = json.loads(bundle.files["control.json"])
+    joint = control["joints"]["finger_1_distal"]
+    assert joint["servos"] == [{"kp": 8.0, "kd": 0.6, "max_force": 4.0, "targets": [-0.6, 2.2]}]
+    assert joint["armature"] == 0.01
+
+
+def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundle) -> None:
+    page = bundle.files["report.html"].decode()
+    assert "&lt;b&gt;run" in page
+    assert "<b>" not in page
+    assert 'src="http' not in page
+    assert "data:image/png;base64," in page
+    assert "lifted 75%" in page
+
+
+def test_a_bundle_name_is_plain_whatever_the_run_is_called(bundle: Bundle) -> None:
+    assert bundle.name.isascii()
+    assert bundle.name.endswith("-best-000001.zip")
+    assert len(bundle.name) < 130
+
+
+def test_the_policy_runs_with_numpy_and_mujoco_alone(bundle: Bundle, tmp_path: Path) -> None:
+    for path, content in bundle.files.items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_bytes(content)
+    code = (
+        "import runpy, sys; runpy.run_path('run_policy.py', run_name='__main__');"
+        "sys.exit(any(m.split('.')[0] in ('morph_core', 'studio', 'torch', 'trimesh') for m in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("object at [")
+
+
+def test_the_exported_observation_is_the_tasks_own() -> None:
+    task = make_task("pen_press")
+    assert isinstance(task, GraspTask)
+    middle, spread = _observation_units(task)
+    rng = np.random.default_rng(0)
+    s = task.reset(task.hw_phy(task.design_space.initial), 20, rng)
+    s += 0.1 * np.abs(rng.standard_normal(s.shape))
+    np.testing.assert_array_equal(task.observe(s), ((s[:, : len(middle)] - middle) / spread).astype(np.float32))
+
+
+def test_chance_alone_may_part_two_measurements_and_no_more() -> None:
+    assert Score(32, 0.9).allowed(Score(128, 0.9)) == pytest.approx(0.2, abs=0.04)
+    assert Score(128, 0.0).allowed(Score(128, 0.0)) < 0.05
+
+
+def test_a_policy_is_its_mean_where_nothing_is_drawn() -> None:
+    policy = Policy([np.eye(2)] * 3, [np.zeros(2)] * 3, np.ones(2), 0)
+    np.testing.assert_allclose(policy.act(np.array([[0.1, -0.2]]), None), np.tanh(np.tanh([[0.1, -0.2]])))
+
+
+# --- what is broken is found out ---
+
+
+def holed(content: bytes) -> bytes:
+    """Return an STL without its first triangle."""
+    return content[:80] + (int.from_bytes(content[80:84], "little") - 1).to_bytes(4, "little") + content[134:]
+
+
+def larger(content: bytes) -> bytes:
+    mesh = trimesh.load_mesh(io.BytesIO(content), file_type="stl")
+    return stl(np.asarray(mesh.vertices) * 1.001, np.asarray(mesh.faces), "")
+
+
+def doubled(content: bytes) -> bytes:
+    mesh = trimesh.load_mesh(io.BytesIO(content), file_type="stl")
+    both = trimesh.util.concatenate(mesh, mesh.copy().apply_translation([500, 0, 0]))
+    return stl(np.asarray(both.vertices), np.asarray(both.faces), "")
+
+
+def replaced(before: str, after: str) -> Callable[[bytes], bytes]:
+    def replace(content: bytes) -> bytes:
+        assert before in content.decode()
+        return content.decode().replace(before, after, 1).encode()
+
+    return replace
+
+
+BREAKS = [
+    ("parts/palm.stl", holed, "parts/palm.stl: watertight"),
+    ("parts/finger_1_distal.stl", larger, "parts/finger_1_distal.stl: mass"),
+    ("parts/finger_1_distal.stl", doubled, "one body"),
+    ("parts/finger_1_distal.stl", lambda _: b"", "part finger_1_distal"),
+    ("hand.xml", replaced('range="-0.9 1.7"', 'range="-0.9 1.8"'), "hand.xml in MuJoCo: joint limits"),
+    ("hand.xml", replaced('size="0.015 ', 'size="0.016 '), "hand.xml in MuJoCo: collision extents"),
+    ("hand.urdf", replaced('xyz="0.0 0.0 -', 'xyz="0.0 0.00001 -'), "hand.urdf in MuJoCo"),
+    ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.016"'), "hand.urdf in MuJoCo: collision"),
+    ("scene.xml", replaced('timestep="0.01"', 'timestep="0.02"'), "scene.xml in MuJoCo: bodies"),
+    ("hand.mjz", lambda content: content[:-40], "hand.mjz in MuJoCo"),
+    ("assembly.glb", lambda content: content[:400], "assembly.glb"),
+    ("policy.npz", lambda content: content[:200], "policy"),
+    ("design.json", replaced('"value": 0.1,', '"value": 0.2,'), "positions"),
+    ("README.txt", lambda content: content + b"!", "provenance.json: digests"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("path", "spoil", "finding"), BREAKS, ids=[f"{b[0]}-{i}" for i, b in enumerate(BREAKS)])
+def test_a_file_broken_on_purpose_is_found_out(
+    bundle: Bundle, path: str, spoil: Callable[[bytes], bytes], finding: str
+) -> None:
+    files = {**bundle.files, path: spoil(bundle.files[path])}
+    faults = [check.name for check in prove(files, episodes=1) if not check.passed]
+    assert any(finding in fault for fault in faults), faults
+    assert "provenance.json: digests" in faults
+
+
+def test_verify_prints_a_table_and_fails_for_a_part_broken_on_purpose(bundle: Bundle, tmp_path: Path) -> None:
+    good, bad = tmp_path / "good.zip", tmp_path / "bad.zip"
+    good.write_bytes(bundle.content)
+    bad.write_bytes(zipped({**bundle.files, "parts/palm.stl": holed(bundle.files["parts/palm.stl"])}))
+    shown = {}
+    for path, code in ((good, 0), (bad, 1), (tmp_path / "none.zip", 2)):
+        command = [sys.executable, "-m", "studio.cli", "verify", str(path), "--episodes", "2"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env={"COLUMNS": "140", "PATH": ""})
+        assert done.returncode == code, done.stdout + done.stderr
+        shown[code] = done.stdout
+    assert "checks agree" in shown[0]
+    assert "FAILS" in shown[1]
+    assert "not watertight" in shown[1]
+
+
+def test_an_export_with_a_broken_part_is_not_offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    history = History(make_hand_run(tmp_path, "pen_press"))
+    monkeypatch.setattr("studio.export.bundle.stl", lambda v, f, title: holed(stl(v, f, title)))
+    with pytest.raises(ExportError, match="watertight, a volume, one body: DISAGREES"):
+        build_bundle(history, "best")
+
+
+# --- hostile archives ---
+
+
+@pytest.mark.parametrize("name", ["../evil", "/etc/evil", "a/../../evil", "C:evil", "..\\evil"])
+def test_an_archive_with_a_path_that_leads_elsewhere_is_refused(name: str) -> None:
+    with pytest.raises(ExportError, match="plain relative paths"):
+        unzipped(zipped({"ok": b"", name: b""}))
+
+
+def test_an_archive_that_would_unpack_to_too_much_is_refused() -> None:
+    with pytest.raises(ExportError, match="at most"):
+        unzipped(zipped({"zeros": bytes(300 << 20)}))
+    with pytest.raises(ExportError, match="no zip"):
+        unzipped(b"PK\x03\x04 and nothing more")
+
+
+# --- import ---
+
+
+def test_a_design_comes_back_from_its_bundle_whatever_the_order(bundle: Bundle) -> None:
+    task = make_task("pen_press")
+    design = read_design(bundle.content)
+    assert design == read_design(bundle.files["design.json"])
+    shuffled = msgspec.structs.replace(design, parameters=design.parameters[::-1])
+    phi = phi_for(shuffled, "pen_press", task.design_space)
+    np.testing.assert_array_equal(phi, design.phi)
+    assert [p.initial for p in starting_from(design, task.design_space)] == phi.tolist()
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"<mujoco><worldbody/></mujoco>", "no design.json"),
+        (b"[" * 100_000, "no design.json"),
+        (b'{"kind": "robot"}', "no design.json"),
+        (zipped({"hand.xml": b"<mujoco/>"}), "holds no design.json"),
+    ],
+)
+def test_what_is_no_design_is_refused(content: bytes, sentence: str) -> None:
+    with pytest.raises(ExportError, match=sentence):
+        read_design(content)
+
+
+@pytest.mark.parametrize(
+    ("index", "change", "sentence"),
+    [
+        (0, {"name": "thumb"}, "lacks placement_1"),
+        (4, {"value": 4.0}, "length_1 must lie inside"),
+        (4, {"value": float("nan")}, "length_1 must be finite"),
+        (4, {"unit": "mm"}, "must be in m, not in mm"),
+        (1, {"name": "placement_1"}, "lacks placement_2"),
+    ],
+)
+def test_a_design_that_does_not_fit_is_refused(
+    bundle: Bundle, index: int, change: dict[str, object], sentence: str
+) -> None:
+    design = read_design(bundle.content)
+    values = list(design.parameters)
+    values[index] = msgspec.structs.replace(values[index], **change)
+    with pytest.raises(ExportError, match=sentence):
+        phi_for(msgspec.structs.replace(design, parameters=values), "pen_press", make_task("pen_press").design_space)
+
+
+def test_a_design_of_another_task_is_refused(tmp_path: Path) -> None:
+    history = History(make_hand_run(tmp_path, "pen_press"))
+    design = design_of(history, history.phi.tolist())
+    with pytest.raises(ExportError, match="a design for pen_press, not for reacher"):
+        phi_for(design, "reacher", make_task("reacher").design_space)
+
+
+def test_the_same_bundle_twice_differs_in_nothing_but_the_time(bundle: Bundle) -> None:
+    with zipfile.ZipFile(io.BytesIO(bundle.content)) as archive:
+        assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        assert {name: archive.read(name) for name in archive.namelist()} == dict(bundle.files)
