@@ -92,7 +92,7 @@ class HandPhysics:
         if self._batch is None or self._batch.nsim != environments:
             if len(self._models) not in (1, environments):
                 raise ValueError(f"{len(self._models)} designs don't fit {environments} environments")
-            threads = len(os.sched_getaffinity(0))
+            threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
             self._batch = mujoco.batch.Batch(self._models[0], environments, nthread=min(threads, environments))
             if len(self._models) > 1:
                 self._batch.set_models(self._models)
