@@ -15,7 +15,8 @@ from safetensors.numpy import load_file
 from morph_core.history import History
 from morph_core.rollout import collect
 from morph_core.task import Hardware, Task
-from morph_core.tasks.grasp import SUBSTEPS, GraspTask, HandPhysics
+from morph_core.tasks.grasp import GraspTask
+from morph_core.tasks.simulation import SUBSTEPS, HandPhysics
 from studio.export.errors import ExportError
 
 LAYERS = 3

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import morph_core.envs  # noqa: F401 - registers the tasks
 from morph_core.config import Config
 from morph_core.task import Transition, check_settings
-from morph_core.tasks.grasp import SENSOR_SIZE, HandPhysics, Outcome
 from morph_core.tasks.pen_press import PenPress
+from morph_core.tasks.simulation import SENSOR_SIZE, HandPhysics, Outcome
 
 TASK = PenPress()
 START = TASK.reset(TASK.hw_phy(TASK.design_space.initial), 1, np.random.default_rng(0))
