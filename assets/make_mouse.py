@@ -14,10 +14,12 @@ OUTLINE = [(-0.5, 0.56), (-0.42, 0.8), (-0.25, 0.95), (0.0, 1.0), (0.3, 0.92), (
 """(x, share of the full width): seen from above."""
 PROFILE = [(-0.5, 0.38), (-0.42, 0.62), (-0.25, 0.9), (0.0, 1.0), (0.3, 0.8), (0.44, 0.64), (0.5, 0.5)]
 """(x, share of the full height): seen from the side."""
-CROSS_SECTION = [(0.88, 0.0), (1.0, 0.4), (0.96, 0.72), (0.72, 0.93), (0.3, 1.0)]
+CROSS_SECTION = [(0.94, 0.0), (1.0, 0.4), (0.98, 0.75), (0.82, 0.94), (0.4, 1.0)]
 """(share of the half width, share of the height), of one half: the flanks lean in towards the table."""
-SEAM = 0.06
+FRONT = 0.06
 """x: the buttons lie in front of it."""
+SEAM = -0.1
+"""y: between the right button and the left one, which reaches across the middle, where a finger is."""
 RECESS = 0.3
 """The left button's place is lower than the right button's by this share of the height."""
 SOLE = 0.1
@@ -41,13 +43,13 @@ def sections(xs: list[float], bottom: float = 0.0, top: float = 1.0) -> np.ndarr
 def parts() -> dict[str, trimesh.Trimesh]:
     """Return the convex parts by name."""
     xs = [x for x, _ in OUTLINE]
-    rear, front = [*(x for x in xs if x < SEAM), SEAM], [SEAM, *(x for x in xs if x > SEAM)]
+    rear, front = [*(x for x in xs if x < FRONT), FRONT], [FRONT, *(x for x in xs if x > FRONT)]
     body = np.concatenate([sections(rear), sections(front, top=0.0)])
     left, right = sections(front, bottom=SOLE, top=1 - RECESS), sections(front, bottom=SOLE)
     points = {
         "body": np.concatenate([body, body * [1, -1, 1]]),
-        "left": np.concatenate([left, left * [1, 0, 1]]),
-        "right": np.concatenate([right, right * [1, 0, 1]]) * [1, -1, 1],
+        "left": np.concatenate([left, left * [1, 0, 1] + [0, SEAM, 0]]),
+        "right": np.concatenate([right * [1, -1, 1], right * [1, 0, 1] + [0, SEAM, 0]]),
     }
     return {name: hull(corners) for name, corners in points.items()}
 

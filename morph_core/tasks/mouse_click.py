@@ -16,7 +16,8 @@ from morph_core.tasks.hand import OBJECT_CONTACT, Hand
 ASSETS = Path(__file__).parents[2] / "assets"
 PARTS = ("body", "left", "right")
 BUTTON_MIDDLE, BUTTON_HALF_SIZE = (0.31, 0.15, 0.2), (0.15, 0.24, 0.12)
-"""Of the mouse's length, width and height, from its middle: above the recess of its left front."""
+"""Shares of the mouse's length, width and height, from its middle: on the recess of its left front, and across the
+middle, so that a finger that points ahead can press it."""
 
 START_GAP = 0.03  # m: between mouse and fingertips
 
@@ -27,18 +28,18 @@ class MouseClick(GraspTask):
 
     Task: grasp the mouse, lift it and hold its button pressed while it is in the hand.
     Randomised: position and heading of the mouse at the start.
-    Success: held, that is, the button pressed by a distal link while the mouse is in the hand, in at least half of the
-    last ten control steps. `grasp` says what in the hand means.
+    Success: held: in at least half of the last ten control steps a distal link presses the button while the mouse is in
+    the hand, 5 cm above the table with two fingers on it, or two besides the one that presses.
     """
 
-    length: float = 0.50
+    length: float = 0.62
+    """m: from rear to front."""
+    width: float = 0.46
+    """m: fingers of the initial design reach no further down than its shoulders; those of .2 m get round them."""
+    height: float = 0.14
     """m."""
-    width: float = 0.34
-    """m."""
-    height: float = 0.09
-    """m."""
-    mass: float = 0.2
-    """kg."""
+    mass: float = 0.4
+    """kg: of the mouse without its button. Half of it can be lifted without learning to squeeze."""
     travel: float = 0.015
     """m: of the button."""
     stiffness: float = 60.0
