@@ -43,7 +43,11 @@ def through_gymnasium(envs: SyncVectorEnv, task: Task, state: State, seed: int) 
         observation, alive = following, alive & ~(terminated | truncated)
     observations, actions, rewards, lives, successes = (np.stack(column) for column in zip(*rows, strict=True))
     unused = np.zeros((*rewards.shape, 1))
-    return Rollout(unused, observations, actions, unused, unused, rewards, {}, lives, successes, unused, unused[0])
+    return Rollout(
+        s=unused, observation=observations, action=actions, a=unused, z=unused, reward=rewards, reward_terms={},
+        alive=lives, success=successes, milestones={}, contact=unused, last_s=unused[0],
+        successes=successes.any(0), kept=np.ones(envs.num_envs, dtype=bool), steps=int(lives.sum()),
+    )  # fmt: skip
 
 
 def through_morph(task: Task, config: Config, state: State) -> Rollout:
