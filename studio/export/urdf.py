@@ -20,7 +20,7 @@ from studio.export.meshes import stl
 NO_LIMIT = 1e6
 """Stands in for a limit that the task does not set, where URDF demands one (N, N m, m/s, rad/s, m)."""
 CARRIER_MASS = 1e-12
-"""kg and kg m^2: links between the joints of one body; readers refuse a moving link without mass."""
+"""kg and kg m^2: of links that are only a frame. Readers refuse a moving link without mass, or make it a kilogram."""
 MESHES = "meshes_urdf"
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 
@@ -33,7 +33,7 @@ class Names:
     """One per body; the first is the base."""
     joints: list[str]
     sites: list[str]
-    """Frames, written as links without mass."""
+    """Frames, written as links of no size and negligible mass."""
 
 
 def urdf_names(model: mujoco.MjModel) -> Names:
@@ -83,7 +83,7 @@ def write_urdf(
         if visuals and names.links[body] in visuals:
             _add_part(link, model, body, visuals[names.links[body]], origin)
         for site in np.flatnonzero(model.site_bodyid == body):
-            ElementTree.SubElement(root, "link", name=names.sites[site])
+            _add_carrier(root, names.sites[site])
             _add_joint(
                 root, f"{names.sites[site]}_fixed", "fixed", names.links[body], names.sites[site],
                 model.site_pos[site] - origin, model.site_quat[site],

@@ -306,6 +306,42 @@ def test_an_export_is_a_zip_with_mjcf_urdf_and_provenance(served: Served, ended:
     assert any(name.endswith("provenance.json") for name in names)
 
 
+def test_what_an_export_would_hold_can_be_seen_before_it_is_downloaded(served: Served, ended: RunFolder) -> None:
+    answer = served.client.get(f"/api/runs/{ended.id}/designs/best/export/checks", params={"formats": "urdf,stl"})
+    assert answer.status_code == 200, answer.text
+    checked = answer.json()
+    assert checked["name"].endswith(".zip")
+    assert {"robot.urdf", "parts/link_1.stl"} <= {file["path"] for file in checked["files"]}
+    assert all(check["passed"] for check in checked["checks"])
+    assert any("mass of link_1" in check["name"] for check in checked["checks"])
+
+
+def test_a_design_is_brought_into_a_run_and_starts_another(served: Served, ended: RunFolder) -> None:
+    bundle = served.client.get(f"/api/runs/{ended.id}/designs/best/export", params={"formats": "urdf"}).content
+    started = served.client.post("/api/designs", content=bundle, params={"seed": 3, "method": "no_hw_opt"})
+    assert started.status_code == 201, started.text
+    state = started.json()
+    assert (state["task"], state["seed"], state["method"]) == ("reacher", 3, "no_hw_opt")
+    assert [p["initial"] for p in state["parameters"]] == pytest.approx([2.7] * 5)
+    assert eventually(lambda: served.client.get(f"/api/runs/{state['id']}").json()["status"] == "running")
+    with zipfile.ZipFile(io.BytesIO(bundle)) as archive:
+        design = archive.read("design.json")
+    sent = served.client.post(f"/api/runs/{state['id']}/designs", content=design)
+    assert sent.status_code == 202, sent.text
+
+    def injected() -> bool:
+        answers = served.client.get(f"/api/runs/{state['id']}").json()["acknowledged"]
+        return any(a["command"] == {"type": "inject_design", "phi": pytest.approx([2.7] * 5)} for a in answers)
+
+    assert eventually(injected)
+
+
+@pytest.mark.parametrize("body", [b"", b"<mujoco/>", b"[]", b"PK\x03\x04", b'{"kind": "morph-studio design"}'])
+def test_what_is_no_design_is_refused(served: Served, ended: RunFolder, body: bytes) -> None:
+    for path in ("/api/designs", f"/api/runs/{ended.id}/designs"):
+        refused(served.client.post(path, content=body))
+
+
 def test_an_export_can_be_of_one_format(served: Served, ended: RunFolder) -> None:
     answer = served.client.get(f"/api/runs/{ended.id}/designs/0/export", params={"formats": "mjcf"})
     assert not any(name.endswith(".urdf") for name in zipfile.ZipFile(io.BytesIO(answer.content)).namelist())

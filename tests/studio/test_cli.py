@@ -11,12 +11,13 @@ import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import psutil
 import pytest
-from conftest import make_hand_run
+from conftest import design_of, eventually, make_hand_run, stand_in
 
 from morph_core.history import History
-from morph_core.protocol import Evaluation, Heartbeat, Progress, StateChanged, Status
+from morph_core.protocol import Evaluation, Heartbeat, InjectDesign, Progress, StateChanged, Status
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, hold, list_runs
 from studio.cli import run
 from studio.cli.evaluate import _print_result
@@ -240,6 +241,38 @@ def test_an_export_without_a_place_goes_into_the_run(folder: RunFolder) -> None:
         assert "robot.xml" not in archive.namelist()
 
 
+def test_a_design_from_a_bundle_is_shown_and_starts_a_run(folder: RunFolder, tmp_path: Path) -> None:
+    bundle = morph_studio("export", str(folder.path), "--formats", "urdf").stdout.strip()
+    shown = morph_studio("import", bundle)
+    assert shown.returncode == 0
+    assert shown.stdout.startswith(f"reacher, iteration 1 of {folder.id}\n  link_1 = ")
+    words = ["import", bundle, "--start", "--iterations", "1", "--seed", "5", "--runs", str(tmp_path / "new")]
+    done = morph_studio(*words)
+    assert done.returncode == 0, done.stderr
+    [started] = (tmp_path / "new").iterdir()
+    record = History(RunFolder(started)).record
+    assert record.seed == 5
+    assert [p.initial for p in record.parameters] == History(folder).design("best")[1].tolist()
+
+
+def test_a_design_is_handed_to_a_run_that_is_at_work_and_to_no_other(folder: RunFolder, tmp_path: Path) -> None:
+    path = tmp_path / "design.json"
+    path.write_bytes(msgspec.json.encode(design_of(History(folder), [1.0, 1.0, 1.0, 1.0, 2.0])))
+    done = morph_studio("import", str(path), "--into", str(folder.path))
+    assert done.returncode == 2
+    assert "stopped" in done.stderr
+    assert list(folder.pending()) == []
+    process = stand_in(folder)
+    try:
+        assert eventually(lambda: History(folder).status == "running")
+        sent = morph_studio("import", str(path), "--into", str(folder.path))
+        assert sent.returncode == 0, sent.stderr
+        assert eventually(lambda: [a.command for a in History(folder).acknowledged] == [InjectDesign([1, 1, 1, 1, 2])])
+    finally:
+        process.kill()
+        process.wait()
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -249,6 +282,9 @@ def test_an_export_without_a_place_goes_into_the_run(folder: RunFolder) -> None:
         ("export RUN --design newest", "choose best, latest or an iteration"),
         ("evaluate RUN --design 9", "choose best, latest or 0 to 2"),
         ("evaluate RUN --episodes 0", "--episodes must be at least 1"),
+        ("evaluate RUN --phi-from nowhere.json", "nowhere.json can't be read"),
+        ("import nowhere.json --into RUN", "nowhere.json can't be read"),
+        ("import RUN --into RUN --start", "choose one of --into RUN and --start"),
         ("train --resume RUN --alpha 2 --seed 4", "leave out --alpha, --seed"),
         ("train --resume RUN --method direct", "leave out --method"),
         ("train --resume RUN --z tip", "leave out --z"),
@@ -321,6 +357,10 @@ def test_train_evaluate_export_and_resume_from_end_to_end(tmp_path: Path) -> Non
     result = json.loads(done.stdout)
     assert (result["iteration"], result["episodes"]) == (3, 3)
     assert 0 <= result["sampled"]["success"] <= 1
+    design = tmp_path / "design.json"
+    design.write_bytes(msgspec.json.encode(design_of(History(RunFolder(Path(first["path"]))), [3.0] * 5)))
+    words = ["evaluate", first["run"], "--runs", str(tmp_path), "--episodes", "3", "--phi-from", str(design), "--json"]
+    assert set(json.loads(morph_studio(*words).stdout)["phi"].values()) == {3.0}
     table = morph_studio("evaluate", first["run"], "--runs", str(tmp_path), "--episodes", "3").stdout
     assert "deterministic" in table
 

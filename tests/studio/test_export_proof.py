@@ -1,15 +1,20 @@
 """A bundle proves that it is one robot: for any design, read again from its files; and a broken one is found out."""
 
+import importlib
+import importlib.util
 import io
 import itertools
 import json
 import subprocess
 import sys
+import tempfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -27,7 +32,7 @@ from studio.export.errors import ExportError
 from studio.export.meshes import stl
 from studio.export.parts import printed_parts
 from studio.export.policy import Policy, Score, _observation_units
-from studio.export.proof import prove, prove_robot
+from studio.export.proof import prove, prove_robot, unpack
 
 NAME = "<b>run \N{SNOWMAN} .." + "x" * 120
 
@@ -49,13 +54,80 @@ def corners(task: Task) -> list[np.ndarray]:
 
 
 def faults_of(task: Task, phi: np.ndarray) -> list[str]:
+    """Return where the files of a design differ from the robot that is simulated, whoever reads them."""
     parts = printed_parts(task, phi)
     files = robot_files(task, phi, parts, "hand", FORMATS)
     design = Design(
         task=task.name, task_options={}, robot="hand", run="", design="", iteration=0, parameters=[],
         parts=[PartEntry(part.name, list(part.links), part.inertial.mass) for part in parts],
     )  # fmt: skip
-    return [str(check) for check in prove_robot(files, design, task, phi) if not check.passed]
+    faults = [str(check) for check in prove_robot(files, design, task, phi) if not check.passed]
+    model = task.spec(phi).compile()
+    with tempfile.TemporaryDirectory() as folder:
+        unpack(files, Path(folder))
+        return faults + faults_in_pinocchio(Path(folder), model) + faults_in_pybullet(Path(folder), model)
+
+
+def faults_in_pinocchio(folder: Path, model: mujoco.MjModel) -> list[str]:
+    """Compare the URDF as pinocchio reads it: masses, limits, and places in random postures."""
+    if not (pinocchio := optional("pinocchio")):
+        return []
+    robot = pinocchio.buildModelFromUrdf(str(folder / "hand.urdf"))
+    for kind in (pinocchio.GeometryType.VISUAL, pinocchio.GeometryType.COLLISION):
+        pinocchio.buildGeomFromUrdf(robot, str(folder / "hand.urdf"), kind, pinocchio.GeometryModel(), str(folder))
+    data, state, rng = robot.createData(), mujoco.MjData(model), np.random.default_rng(1)
+    faults = []
+    if abs(pinocchio.computeTotalMass(robot) / model.body_mass.sum() - 1) > 1e-9:
+        faults.append("pinocchio: mass")
+    for _ in range(10):
+        q = pinocchio.neutral(robot)
+        for j in range(model.njnt):
+            lo, hi = model.jnt_range[j] if model.jnt_limited[j] else (-3.0, 3.0)
+            state.qpos[j] = rng.uniform(lo, hi)
+            joint = robot.joints[robot.getJointId(model.joint(j).name)]
+            bounded = joint.nq == 1
+            place = slice(joint.idx_q, joint.idx_q + joint.nq)
+            q[place] = state.qpos[j] if bounded else [np.cos(state.qpos[j]), np.sin(state.qpos[j])]
+            if bounded and (robot.lowerPositionLimit[joint.idx_q], robot.upperPositionLimit[joint.idx_q]) != (lo, hi):
+                faults.append(f"pinocchio: limits of {model.joint(j).name}")
+        mujoco.mj_kinematics(model, state)
+        pinocchio.framesForwardKinematics(robot, data, q)
+        for body in range(1, model.nbody):
+            place = data.oMf[robot.getFrameId(model.body(body).name, pinocchio.FrameType.BODY)].translation
+            if np.abs(place - state.xpos[body]).max() > 1e-9:
+                faults.append(f"pinocchio: place of {model.body(body).name}")
+    return faults
+
+
+def faults_in_pybullet(folder: Path, model: mujoco.MjModel) -> list[str]:
+    """Compare the URDF as pybullet reads it, which keeps limits and masses but moves in single precision."""
+    if not (pybullet := optional("pybullet")):
+        return []
+    client = pybullet.connect(pybullet.DIRECT)
+    faults = []
+    try:
+        robot = pybullet.loadURDF(str(folder / "hand.urdf"), useFixedBase=True, physicsClientId=client)
+        if robot < 0:
+            return ["pybullet: can't load it"]
+        for joint in range(pybullet.getNumJoints(robot, client)):
+            info = pybullet.getJointInfo(robot, joint, client)
+            link = info[12].decode()
+            if info[2] == pybullet.JOINT_FIXED:
+                continue
+            mass = pybullet.getDynamicsInfo(robot, joint, client)[0]
+            if abs(mass / model.body(link).mass[0] - 1) > 1e-6:
+                faults.append(f"pybullet: mass of {link}")
+            j = model.joint(info[1].decode()).id
+            if model.jnt_limited[j] and not np.allclose(info[8:10], model.jnt_range[j], atol=1e-6):
+                faults.append(f"pybullet: limits of {link}")
+    finally:
+        pybullet.disconnect(client)
+    return faults
+
+
+def optional(name: str) -> Any:
+    """Return a module of the extra `readers`, or None where it is not installed."""
+    return importlib.import_module(name) if importlib.util.find_spec(name) else None
 
 
 @pytest.mark.parametrize("name", sorted(TASKS))
