@@ -2,7 +2,6 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import ClassVar, Literal
 
 import mujoco
@@ -115,7 +114,7 @@ class GraspTask(ABC):
     def add_object(self, spec: mujoco.MjSpec) -> None:
         """Add the bodies "object", with a free joint, and inside it "button", with a sprung slide."""
 
-    @cached_property
+    @property
     def hand(self) -> Hand:
         return Hand(self.fingers, self.initial_length)
 
@@ -211,7 +210,8 @@ class GraspTask(ABC):
     def sample_pairs(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         k, nominal = self.hand.joints, self.hw_phy(self.design_space.initial)
         s = self.reset(nominal, count, rng)
-        s[:, :k] = rng.uniform(*self.hand.joint_range.T, (count, k))
+        low, high = self.hand.joint_range.T
+        s[:, :k] = rng.uniform(low, high, (count, k))
         return s, self._action_scale * rng.uniform(-1, 1, (count, k))
 
     def step(self, hardware: Hardware, s: np.ndarray, action: np.ndarray) -> Transition:
@@ -228,7 +228,7 @@ class GraspTask(ABC):
         goal = pressed & lifted
         if self.grasp == "two_besides_presser":
             holders = on_body.sum(1, keepdims=True) - on_body  # besides each finger
-            goal &= (on_button & (holders >= 2)).any(1)
+            goal &= np.any(on_button & (holders >= 2), axis=1)
         distance = np.linalg.norm(position - np.array([0, 0, self.goal_height]), axis=1)
         at_start = abs(self.goal_height - self.half_extents[2])
         terms = {
@@ -313,7 +313,7 @@ def add_button(
 def _contact_points(sensors: np.ndarray) -> np.ndarray:
     """Return where (N, fingers, 3) m each finger touches: the button, else the object, else NaN."""
     points = np.where(sensors[:, :, :1, 0] > 0, sensors[:, :, 0, 1:], sensors[:, :, 1, 1:])
-    return np.where((sensors[..., 0] > 0).any(2)[..., None], points, np.nan)
+    return np.where(np.any(sensors[..., :1] > 0, axis=2), points, np.nan)
 
 
 def _physics(hardware: Hardware) -> HandPhysics:

@@ -79,7 +79,7 @@ class Hand:
         angle = self.base_angles + phi[..., : self.fingers]
         i, j = np.triu_indices(self.fingers, 1)
         distance = 2 * PALM_RADIUS * np.abs(np.sin((angle[..., i] - angle[..., j]) / 2))
-        return (distance < 2 * FINGER_RADIUS).any(-1)
+        return np.any(distance < 2 * FINGER_RADIUS, axis=-1)
 
     def start(self, phi: np.ndarray) -> np.ndarray:
         """Return the start posture (..., joints) of designs phi (..., d): fingertips above the object."""
@@ -134,8 +134,9 @@ class Hand:
                 size=[FINGER_RADIUS, 0, 0], mass=0, friction=FINGER_FRICTION, condim=4, rgba=shade,
             )  # fmt: skip
             link.contype, link.conaffinity = FINGER_CONTACT
-            set_inertial(body, link_inertial(part, length))
             _add_servo(spec, joint, joint_range, JOINT_KP, JOINT_KV, JOINT_TORQUE)
+        set_inertial(proximal, link_inertial("proximal", length))
+        set_inertial(distal, link_inertial("distal", length))
 
 
 def _add_servo(

@@ -1,7 +1,7 @@
 """Mouse-clicking: a hand of five fingers lifts a computer mouse and presses its left button."""
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -49,7 +49,7 @@ class MouseClick(GraspTask):
     title: ClassVar[str] = "5-finger hand lifts a mouse and presses its button"
     fingers: ClassVar[int] = 5
 
-    @cached_property
+    @property
     def hand(self) -> Hand:
         return Hand(self.fingers, self.initial_length, self.height + START_GAP)
 

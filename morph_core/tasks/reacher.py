@@ -288,7 +288,7 @@ class Reacher:
         )
 
     def solved(self, reached: np.ndarray) -> np.ndarray:
-        return reached.any(0)
+        return np.any(reached, axis=0)
 
     def _sweep(self, arm: ForwardKinematics, q: np.ndarray, wish: np.ndarray) -> tuple[np.ndarray, ...]:
         """Move the joints one after another, the distal ones first, each until its target or contact.
