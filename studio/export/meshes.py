@@ -8,10 +8,6 @@ from xml.sax.saxutils import escape
 
 import mujoco
 import numpy as np
-import trimesh
-from trimesh.exchange.gltf import export_glb
-from trimesh.visual import TextureVisuals
-from trimesh.visual.material import PBRMaterial
 
 from studio.export.archive import zipped
 from studio.export.parts import BASE, MILLIMETRE, Part
@@ -82,6 +78,11 @@ def read_three_mf(content: bytes) -> tuple[np.ndarray, np.ndarray, int, str, str
 
 def glb(parts: Sequence[Part], model: mujoco.MjModel, colours: Mapping[str, np.ndarray]) -> bytes:
     """Return the assembly in the model's start posture, in metres, its nodes named like the links; y is up."""
+    import trimesh  # slow to load, and a server must start fast
+    from trimesh.exchange.gltf import export_glb
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
     data = start_posture(model)
     scene = trimesh.Scene(base_frame="world")
     upright = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

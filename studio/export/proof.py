@@ -10,7 +10,6 @@ from pathlib import Path
 import msgspec
 import mujoco
 import numpy as np
-import trimesh
 from manifold3d import Error, Manifold, Mesh64
 
 from morph_core.task import Task
@@ -150,6 +149,8 @@ def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjMod
     surfaces: dict[str, Surface] = {}
     stl, three_mf = f"parts/{part.name}.stl", f"3mf/{part.name}.3mf"
     if stl in files:
+        import trimesh
+
         mesh = trimesh.load_mesh(io.BytesIO(files[stl]), file_type="stl")
         surfaces[stl] = np.asarray(mesh.vertices) * MILLIMETRE, np.asarray(mesh.faces)
     if three_mf in files:
@@ -168,6 +169,8 @@ def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjMod
 
 def _check_solid(path: str, surface: Surface) -> Check:
     """Check that a surface is watertight, outside out, and one body."""
+    import trimesh
+
     mesh = trimesh.Trimesh(*surface, process=False)
     body = Manifold(Mesh64(surface[0], surface[1].astype(np.uint64)))
     if not len(surface[1]):
@@ -209,6 +212,8 @@ def _check_mass(path: str, surface: Surface, model: mujoco.MjModel, link: str) -
 
 def _check_assembly(content: bytes, design: Design, model: mujoco.MjModel) -> list[Check]:
     """Check that each link's node stands where the link does at the start, and is as heavy as the part."""
+    import trimesh
+
     scene = trimesh.load_scene(io.BytesIO(content), file_type="glb")
     data = start_posture(model)
     down = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from y up to z up

@@ -7,7 +7,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import trimesh
 
 from studio.export.urdf import NO_LIMIT, free_base, joint_effort, joint_limits, link_origin, urdf_names
 
@@ -171,6 +170,8 @@ def _yourdfpy_box(link: Any, origin: np.ndarray, folder: Path) -> np.ndarray | N
         elif shape.box:
             low, high = _around(axes, box=np.asarray(shape.box.size) / 2)
         else:
+            import trimesh
+
             vertices = trimesh.load_mesh(folder / shape.mesh.filename).vertices @ axes.T
             low, high = vertices.min(0), vertices.max(0)
         boxes.append(np.stack([low, high]) + pose[:3, 3] - origin)

@@ -170,8 +170,10 @@ def test_a_person_starts_watches_steers_and_downloads_a_run(server: Server, page
     assert 0.5 <= latest.phi[0] <= 2.9
 
     turn_to(frame, "Export")
+    press(frame, "Check and prepare")
+    expect(frame.get_by_text(re.compile(r"✓ \d+ comparisons agree"))).to_be_visible(timeout=60_000)
     with page.expect_download() as download:
-        press(frame, "Download")
+        frame.get_by_role("button", name=re.compile("^Download ")).dispatch_event("click")
     zipfile.ZipFile(download.value.path()).extractall(tmp_path / "design")
     assert disagreement(tmp_path / "design") < 1e-9
     assert json.loads((tmp_path / "design" / "provenance.json").read_text())["run"] == run.id
