@@ -42,7 +42,7 @@ class ExportPanel:
         self.note = gui.add_html("")
         self.design = gui.add_dropdown("design", CHOICES, initial_value="best")
         self.iteration = gui.add_number("iteration", 0, min=0, step=1, visible=False, hint="0 is the initial design")
-        self.formats_folder = gui.add_folder("Formats")
+        self.formats_folder = gui.add_folder("Formats", expand_by_default=False)
         with self.formats_folder:
             self.formats = {
                 name: gui.add_checkbox(name, name not in OPTIONAL_FORMATS, hint=HINTS[name]) for name in ALL_FORMATS
