@@ -1,4 +1,4 @@
-"""Run the exported policy in MuJoCo's kinematics, with numpy and mujoco alone: python run_policy.py
+"""Run the exported policy in MuJoCo's kinematics, with numpy and mujoco alone: `python run_policy.py`.
 
 The walls don't stop the arm here: how contact is resolved belongs to the task, not to the robot.
 """

@@ -1,4 +1,4 @@
-"""Run the exported policy in MuJoCo, with numpy and mujoco alone: python run_policy.py [--view]"""
+"""Run the exported policy in MuJoCo, with numpy and mujoco alone: `python run_policy.py [--view]`."""
 
 import sys
 import time
