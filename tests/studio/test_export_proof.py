@@ -269,8 +269,8 @@ def larger(content: bytes) -> bytes:
 
 def doubled(content: bytes) -> bytes:
     mesh = trimesh.load_mesh(io.BytesIO(content), file_type="stl")
-    both = trimesh.util.concatenate(mesh, mesh.copy().apply_translation([500, 0, 0]))
-    return stl(np.asarray(both.vertices), np.asarray(both.faces), "")
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    return stl(np.concatenate([vertices, np.add(vertices, 500)]), np.concatenate([faces, faces + len(vertices)]), "")
 
 
 def replaced(before: str, after: str) -> Callable[[bytes], bytes]:
@@ -285,7 +285,7 @@ BREAKS = [
     ("parts/palm.stl", holed, "parts/palm.stl: watertight"),
     ("parts/finger_1_distal.stl", larger, "parts/finger_1_distal.stl: mass"),
     ("parts/finger_1_distal.stl", doubled, "one body"),
-    ("parts/finger_1_distal.stl", lambda _: b"", "part finger_1_distal"),
+    ("parts/finger_1_distal.stl", lambda _: b"", "parts/finger_1_distal.stl"),
     ("hand.xml", replaced('range="-0.9 1.7"', 'range="-0.9 1.8"'), "hand.xml in MuJoCo: joint limits"),
     ("hand.xml", replaced('size="0.015 ', 'size="0.016 '), "hand.xml in MuJoCo: collision extents"),
     ("hand.urdf", replaced('xyz="0.0 0.0 -', 'xyz="0.0 0.00001 -'), "hand.urdf in MuJoCo"),
