@@ -11,7 +11,7 @@ with warnings.catch_warnings():
 
 from morph_core.config import Config
 from morph_core.design import DesignSpace
-from morph_core.exploration import clip_drift, design_noise
+from morph_core.exploration import clip_drift, design_noise, reach
 from morph_core.rollout import Rollout
 from morph_core.state import Learner
 from morph_core.task import Task
@@ -70,6 +70,7 @@ def derive_design(
         candidates = np.stack([start, _by_gradient(physics, space, dataset, start)])
     else:
         candidates = np.stack([start, _by_cma(physics, space, dataset, start, config, seed)])
+    candidates = np.stack([reach(task, start, candidate) for candidate in candidates])
     costs = physics.costs(dataset, candidates)
     best = int(np.argmin(costs))
     return Search(candidates[best], float(costs[best]), physics.steps)
@@ -95,7 +96,8 @@ class _Physics:
         Where a candidate's simulation diverges, it counts as far from the dataset as the farthest that did not.
         """
         square = ((self.z(dataset.s, dataset.a, candidates) - dataset.z) ** 2).sum(-1)
-        return np.where(np.isfinite(square), square, np.nanmax(square, initial=0.0)).mean(-1)
+        sound = np.isfinite(square)
+        return np.where(sound, square, square[sound].max() if sound.any() else np.inf).mean(-1)
 
 
 def _by_drift(

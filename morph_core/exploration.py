@@ -14,6 +14,9 @@ from morph_core.rollout import Rollout, collect
 from morph_core.state import State
 from morph_core.task import Hardware, Task
 
+HALVINGS = 8
+"""Steps back from a design that can't be built."""
+
 Pull = Callable[[Tensor, Tensor], Tensor]
 """proxy outputs m (B, z_size) of the samples with indices (B,) -> dL_task/dm (B, z_size)"""
 
@@ -44,6 +47,15 @@ def explore_designs(state: State, count: int, sigma: float, correlation: float =
     half = design_noise(space, count // 2, correlation, state.rng)
     state.explored = space.clip(state.phi + sigma * space.scale * np.concatenate([half, -half]))
     return state.explored
+
+
+def reach(task: Task, phi: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return `target` (d,), or the nearest point halved back towards phi that can be built."""
+    for _ in range(HALVINGS):
+        if task.buildable(target):
+            return target
+        target = (phi + target) / 2
+    return phi
 
 
 def episode_advantage(returns: np.ndarray, config: Config) -> np.ndarray:

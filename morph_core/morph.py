@@ -47,6 +47,9 @@ def morph(task: Task, config: Config, state: State) -> Iterator[Progress]:
 
         batch = make_batch(task, learner, rollout, config)  # line 3, Eq. 2
         pairs = relabel_on_hardware(rollout, hw_phy, config.proxy_pairs, state.rng)
+        if not len(pairs):
+            yield state.skip(iteration, rollout, config)
+            continue
         if config.exploration == "gaussian":
             with torch.no_grad():
                 m_before = learner.proxy(torch.from_numpy(task.proxy_input(pairs.s, pairs.a)))

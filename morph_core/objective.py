@@ -175,6 +175,8 @@ def fit_proxy(task: Task, state: State, config: Config, pairs: int = 512) -> flo
         z = hw_phy(s, a)
         state.relabelled_steps += len(z)
         sound = np.isfinite(z).all(1)
+        if not sound.any():
+            continue
         target = torch.from_numpy(z[sound].astype(np.float32))
         loss = ((proxy(torch.from_numpy(task.proxy_input(s[sound], a[sound]))) - target) ** 2).sum(-1).mean()
         optimizer.param_groups[0]["lr"] = 2e-3 * (1 - step / config.proxy_prefit) + 1e-5

@@ -116,6 +116,10 @@ class Task(Protocol):
         """The ways of exploring z that the task can be run with."""
         ...
 
+    def buildable(self, phi: np.ndarray) -> np.ndarray:
+        """Tell (...) which designs (..., d) can be put together at all."""
+        ...
+
     def hw_phy(self, phi: np.ndarray) -> Hardware:
         """Return F_phi for one design (d,), or for one design per environment (N, d)."""
         ...

@@ -183,6 +183,9 @@ class GraspTask(ABC):
         up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1)  # the frame's axes' z
         return s[:, k + 2] - np.abs(up) @ self.half_extents
 
+    def buildable(self, phi: np.ndarray) -> np.ndarray:
+        return ~self.hand.interpenetrates(phi)
+
     def hw_phy(self, phi: np.ndarray) -> HandPhysics:
         return HandPhysics(self, np.asarray(phi, dtype=float))
 
@@ -245,7 +248,7 @@ class GraspTask(ABC):
             reward=sum(terms.values(), np.zeros(len(s))),
             reward_terms=terms,
             terminated=np.zeros(len(s), dtype=bool),
-            truncated=outcome.diverged | self.hand.interpenetrates(physics.phi),
+            truncated=outcome.diverged | ~self.buildable(physics.phi),
             success=goal,
             milestones={"lifted": lifted, "pressed": pressed},
             contact=_contact_points(outcome.sensors),

@@ -221,6 +221,9 @@ class Reacher:
         """(5,) rad: joint angles of the start posture."""
         return np.diff(np.deg2rad(self.walls.start_headings), prepend=0.0)
 
+    def buildable(self, phi: np.ndarray) -> np.ndarray:
+        return np.ones(phi.shape[:-1], dtype=bool)
+
     def hw_phy(self, phi: np.ndarray) -> ForwardKinematics:
         return ForwardKinematics(np.asarray(phi, dtype=float), self.z == "tip")
 

@@ -1,8 +1,8 @@
 """What a hand's training spends beside MuJoCo: `python tests/bench/hands.py pen_press`.
 
-Collecting episodes with the policy, against the same control signals written into a bare `mujoco.batch.Batch`: the same
-models, start states and threads, so the same physics to the last bit; both sides take turns. Then the parts of a short
-morph run, by the trainer's CPU seconds.
+Collecting episodes with the policy, and stepping the task through the same actions without one, against the same
+control signals written into a bare `mujoco.batch.Batch`: the same models, start states and threads, so the same physics
+to the last bit; the sides take turns. Then the parts of a short morph run, by the trainer's CPU seconds.
 """
 
 import itertools
@@ -21,6 +21,7 @@ import tyro
 from morph_core import morph as method
 from morph_core.config import Config
 from morph_core.exploration import explored_world, run_trajectories
+from morph_core.rollout import Rollout
 from morph_core.state import start
 from morph_core.tasks import make_task
 from morph_core.tasks.grasp import GraspTask
@@ -78,6 +79,13 @@ def bare(task: GraspTask, designs: np.ndarray, s: np.ndarray, ctrl: np.ndarray) 
     return run
 
 
+def stepped(task: GraspTask, physics: HandPhysics, rollout: Rollout) -> None:
+    """Step the task through a rollout's actions."""
+    s = rollout.s[0]
+    for action in rollout.action:
+        s = task.step(physics, s, action).s
+
+
 def compare(task: GraspTask, config: Config, rounds: int) -> None:
     """Print the steps per second of both sides and their ratio."""
     state = start(task, config, 0)
@@ -88,24 +96,27 @@ def compare(task: GraspTask, config: Config, rounds: int) -> None:
         assert isinstance(world, HandPhysics)
         rollout, seconds = timed(lambda world=world: run_trajectories(task, state, world, config))
         sides["compiling the designs"].append(compiled)
-        sides["ours"].append(seconds)
+        sides["collecting"].append(seconds)
         s, a = rollout.s, rollout.a
         ctrl = np.clip(s[..., : task.hand.joints] + a, *task.hand.joint_range.T)
-        last, seconds = timed(bare(task, world.phi[rollout.kept], s[0], ctrl))
-        # Episodes left out were stepped too: the bare side gets the time of as many as we had.
+        # Episodes left out were stepped too: the others get the time of as many as were collected.
         share = rollout.episodes / max(1, rollout.kept.sum())
+        physics = task.hw_phy(world.phi[rollout.kept])
+        _, seconds = timed(lambda physics=physics, rollout=rollout: stepped(task, physics, rollout))
+        sides["stepping"].append(Seconds(seconds.wall * share, seconds.cpu * share))
+        last, seconds = timed(bare(task, world.phi[rollout.kept], s[0], ctrl))
         sides["bare"].append(Seconds(seconds.wall * share, seconds.cpu * share))
         identical &= np.array_equal(last, task.qpos(rollout.last_s))
         steps += rollout.episodes * task.horizon
     total = {side: Seconds(sum(x.wall for x in each), sum(x.cpu for x in each)) for side, each in sides.items()}
     print(f"{task.name}: {config.trajectories} designs at once, {len(os.sched_getaffinity(0))} threads")
-    for side in ("ours", "bare"):
+    for side in ("collecting", "stepping", "bare"):
         wall, cpu = steps / total[side].wall, steps / total[side].cpu
         print(f"{side}: {wall:,.0f} environment steps/s, {cpu:,.0f} per CPU second")
     print(f"same last postures: {identical}")
-    for unit in ("wall", "cpu"):
-        ours, theirs = (getattr(total[side], unit) for side in ("ours", "bare"))
-        print(f"ours takes {100 * (ours / theirs - 1):+.1f} % ({unit}) of the bare batch")
+    for side in ("collecting", "stepping"):
+        extra = (100 * (getattr(total[side], unit) / getattr(total["bare"], unit) - 1) for unit in ("wall", "cpu"))
+        print("{} takes {:+.1f} % wall, {:+.1f} % CPU of the bare batch".format(side, *extra))
     print(f"compiling, besides: {100 * total['compiling the designs'].cpu / total['bare'].cpu:.1f} % (cpu) of it")
 
 

@@ -19,6 +19,7 @@ from morph_core.exploration import (
     episode_advantage,
     explore_designs,
     linearised_pull,
+    reach,
     relabel_on_hardware,
     run_trajectories,
 )
@@ -180,3 +181,13 @@ def test_what_hw_phy_can_not_simulate_is_left_out_of_the_pairs_but_counted(small
     for array, whole in ((pairs.s, every.s), (pairs.a, every.a), (pairs.z, every.z), (pairs.z_phi, every.z_phi)):
         assert np.array_equal(array, whole[~bad])
     assert np.array_equal(pairs.episode, every.episode[~bad])
+
+
+def test_a_step_to_what_cannot_be_built_is_halved_back() -> None:
+    task = make_task("pen_press")
+    phi = task.design_space.initial
+    onto_its_neighbour = phi + np.r_[np.pi / 2, np.zeros(len(phi) - 1)]
+    reached = reach(task, phi, onto_its_neighbour)
+    assert task.buildable(reached)
+    assert reached[0] == pytest.approx(np.pi / 4)
+    assert reach(task, phi, phi + 0.01).tolist() == (phi + 0.01).tolist()
