@@ -21,7 +21,7 @@ from studio.export.check import Check
 from studio.export.control import control_settings
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
-from studio.export.meshes import glb, start_posture, stl, three_mf
+from studio.export.meshes import glb, start_posture, stl_files, three_mf
 from studio.export.mjcf import write_mjcf
 from studio.export.parts import BASE, MILLIMETRE, Part, dress, printed_parts
 from studio.export.picture import picture
@@ -115,7 +115,7 @@ def robot_files(
     spec, scene = task.spec(phi), task.scene(phi)
     model = spec.compile()
     files: dict[str, bytes] = {}
-    shown = {part.stl_path: stl(part.vertices, part.faces, f"{part.name}, millimetres") for part in parts}
+    shown = stl_files(parts)
     if {"mjcf", "urdf", "stl"} & set(formats):
         files |= shown
     if "mjcf" in formats:

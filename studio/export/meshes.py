@@ -40,6 +40,11 @@ def stl(vertices: np.ndarray, faces: np.ndarray, title: str) -> bytes:
     return title.encode("ascii", "replace")[:80].ljust(80) + len(faces).to_bytes(4, "little") + table.tobytes()
 
 
+def stl_files(parts: Sequence[Part]) -> dict[str, bytes]:
+    """Return the parts' STL files by path."""
+    return {part.stl_path: stl(part.vertices, part.faces, f"{part.name}, millimetres") for part in parts}
+
+
 def three_mf(part: Part) -> bytes:
     """Return a 3MF with the part once as an object, and as many copies on the bed as the robot needs."""
     name, links = escape(part.name, {'"': "&quot;"}), escape(", ".join(part.links))

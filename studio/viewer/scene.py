@@ -195,7 +195,7 @@ def screen_axes(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ticks(start: float, end: float, step: float) -> list[float]:
-    return np.round(np.arange(start, end + step / 2, step), 9).tolist()
+    return (np.round(np.arange(start, end + step / 2, step), 9) + 0.0).tolist()  # no "-0 m"
 
 
 def _multiples(values: list[float], step: float) -> list[float]:

@@ -1,5 +1,6 @@
 """What is to be seen in the scene, and everything that drawing it needs, worked out once."""
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +11,9 @@ import numpy as np
 from morph_core.run_folder import RunFolder, read_rollout
 from morph_core.task import Task
 from morph_core.tasks import make_task
+from studio.export.errors import ExportError
+from studio.export.meshes import stl_files
+from studio.export.parts import dress, printed_parts
 from studio.viewer.figure import Figure, smooth
 
 Corners = tuple[np.ndarray, np.ndarray]
@@ -43,6 +47,8 @@ class Shot:
     """The design that stands pale behind it."""
     trail: tuple[tuple[float, ...], ...] = ()
     """Earlier designs, paler still."""
+    printed: bool = False
+    """Whether the design in front shows its printed parts, or the collision shapes inside which they are."""
     population: bool = False
     """Whether to show the designs that were explored in the episode's iteration, as thin rods."""
 
@@ -114,19 +120,17 @@ class _Episode:
 def make_take(shot: Shot) -> Take:
     """Build the designs, read the episode, place every part. Raise ValueError if task or episode is no good."""
     task = make_task(shot.task, dict(shot.task_options))
-    phi = np.array(shot.phi)
-    model = task.scene(phi).compile()
+    recorded = read_rollout(*shot.rollout) if shot.rollout else {}
+    phi = np.asarray(recorded.get("phi", shot.phi), float)
+    model, alone = _models(task, phi, shot.printed)
     if shot.rollout:
-        recorded = read_rollout(*shot.rollout)
-        phi = np.asarray(recorded.get("phi", phi), float)
-        model = task.scene(phi).compile()
         episode = _episode(recorded, model.nq, len(phi))
     else:
         nothing = np.zeros((0, len(phi)))
         episode = _Episode(_start(task, phi), np.zeros(0, bool), {}, np.zeros((0, 1, 3)), nothing)
     factor = max(1, round(task.control_dt * FRAMES_PER_SECOND))
     frames = smooth(model, _fill(model, episode.qpos), factor)
-    robot, objects, scenery = _split(Figure.from_model(model, frames), task.spec(phi).compile())
+    robot, objects, scenery = _split(Figure.from_model(model, frames), alone)
     contact = _moving_contacts(episode.contact, factor, len(frames))
     box, floor = _frame(task)
     population = episode.population if shot.population else ()
@@ -145,6 +149,18 @@ def make_take(shot: Shot) -> Take:
         box=box,
         floor=floor,
     )
+
+
+def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, mujoco.MjModel]:
+    """Return the scene, and the robot alone; a robot that can't be assembled shows its collision shapes."""
+    specs = [task.scene(phi), task.spec(phi)]
+    if printed:
+        with contextlib.suppress(ExportError):
+            parts = printed_parts(task, phi)
+            files = stl_files(parts)
+            specs = [dress(spec, parts, files) for spec in specs]
+    scene, alone = (spec.compile() for spec in specs)
+    return scene, alone
 
 
 def _split(whole: Figure, alone: mujoco.MjModel) -> tuple[Figure, Figure, Figure]:

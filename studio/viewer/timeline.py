@@ -46,6 +46,9 @@ class TimelinePanel:
             self.time = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
             self.speed = gui.add_slider("speed [×]", *SPEEDS, 0.1, 1.0)
             self.loop = gui.add_checkbox("loop", True)
+            self.printed = gui.add_checkbox(
+                "printed parts", True, hint="What is exported to be printed; otherwise the simulated collision shapes"
+            )
             self.ghost = gui.add_checkbox("initial design as ghost", True)
             self.trail = gui.add_checkbox("earlier designs", False)
             self.population = gui.add_checkbox(
@@ -55,7 +58,8 @@ class TimelinePanel:
                 "Continue from this design", icon=viser.Icon.GIT_BRANCH,
                 hint="The running run takes this φ as its design from the next iteration on",
             )  # fmt: skip
-        self._choices = (self.follow, self.iteration, self.recorded, self.ghost, self.trail, self.population)
+        layers = (self.printed, self.ghost, self.trail, self.population)
+        self._choices = (self.follow, self.iteration, self.recorded, *layers)
         self.follow.on_update(lambda event: on_choice() if event.client else None)
         self.iteration.on_update(lambda event: self._pick(event.client) if event.client else None)
         self.recorded.on_click(lambda event: self._jump(event.target.value))
@@ -63,9 +67,8 @@ class TimelinePanel:
         self.time.on_update(lambda event: self._scrub(event.client) if event.client else None)
         self.speed.on_update(lambda event: self._set_speed(event.client) if event.client else None)
         self.loop.on_update(lambda _: player.set_looping(self.loop.value))
-        self.ghost.on_update(lambda _: on_choice())
-        self.trail.on_update(lambda _: on_choice())
-        self.population.on_update(lambda _: on_choice())
+        for layer in layers:
+            layer.on_update(lambda _: on_choice())
         self.inject.on_click(lambda event: on_inject(self._chosen_phi, event.client))
 
     @property

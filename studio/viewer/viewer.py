@@ -277,6 +277,7 @@ class Viewer:
             rollout=(history.folder, shown) if self.timeline.has_episode else None,
             ghost=initial if self.timeline.ghost.value and (shown > 0 or self.timeline.has_episode) else None,
             trail=tuple(self.timeline.earlier(history)),
+            printed=self.timeline.printed.value,
             population=self.timeline.population.value,
         )
 
@@ -303,4 +304,4 @@ class Viewer:
 def _preview(task: str, options: Mapping[str, object]) -> Shot:
     """Return the initial design of a task, for a page without a run."""
     phi = tuple(make_task(task, options).design_space.initial.tolist())
-    return Shot(task=task, task_options=tuple(sorted(options.items())), phi=phi)
+    return Shot(task=task, task_options=tuple(sorted(options.items())), phi=phi, printed=True)

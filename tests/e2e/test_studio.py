@@ -237,7 +237,7 @@ def test_a_hand_plays_with_its_object_and_reads_finger_by_finger(server: Server,
 
     # The scene: hand, pen and table are there, and the pen is no part of what stands there as a ghost.
     nodes = wait_for("the pen", lambda: (names := nodes_of(frame)) and "/objects/box" in names and names, 30)
-    assert {"/robot/cylinder", "/scenery/box", "/scenery/sphere", "/ghost/cylinder", "/ruler/lines"} <= set(nodes)
+    assert {"/robot/mesh_0", "/scenery/box", "/scenery/sphere", "/ghost/cylinder", "/ruler/lines"} <= set(nodes)
     assert "/ghost/box" not in nodes
     posture = robot_of(frame)
     wait_for("a moving hand", lambda: robot_of(frame) != posture, 30)

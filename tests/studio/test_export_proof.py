@@ -326,7 +326,7 @@ def test_verify_prints_a_table_and_fails_for_a_part_broken_on_purpose(bundle: Bu
 
 def test_an_export_with_a_broken_part_is_not_offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     history = History(make_hand_run(tmp_path, "pen_press"))
-    monkeypatch.setattr("studio.export.bundle.stl", lambda v, f, title: holed(stl(v, f, title)))
+    monkeypatch.setattr("studio.export.meshes.stl", lambda v, f, title: holed(stl(v, f, title)))
     with pytest.raises(ExportError, match="watertight, a volume, one body: DISAGREES"):
         build_bundle(history, "best")
 

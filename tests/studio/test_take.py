@@ -1,7 +1,9 @@
 """What is to be seen of a recorded episode: robots with objects, milestones, contacts and explored designs."""
 
+import dataclasses
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from conftest import make_hand_run
@@ -63,6 +65,31 @@ def test_hand_object_and_what_never_moves_are_told_apart(task: str) -> None:
     assert not is_flat(low, high)
     assert (high - low).max() < 1.2  # m: the hand, not the table, fills the view
     assert take.floor[0][2] == pytest.approx(0, abs=1e-6)  # lengths are written on the table
+
+
+@pytest.mark.parametrize("task", sorted(TASKS))
+def test_the_robot_shows_its_printed_parts_inside_its_collision_shapes(task: str) -> None:
+    shot = Shot(task, (), tuple(make_task(task).design_space.initial.tolist()))
+    simulated, printed = make_take(shot), make_take(dataclasses.replace(shot, printed=True))
+    assert set(printed.robot.names) == {f"{name}_visual" for name in simulated.robot.names}
+    assert all(kind == "mesh" for kind in printed.robot.kinds)
+    low, high = simulated.robot.extent()
+    for i, mesh in enumerate(printed.robot.meshes):
+        assert mesh is not None
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, printed.robot.wxyz[0, i].astype(float))
+        placed = printed.robot.positions[0, i] + mesh.vertices @ turn.reshape(3, 3).T
+        assert (placed > low - 1e-4).all()  # m
+        assert (placed < high + 1e-4).all()
+    for one, other in ((simulated.objects, printed.objects), (simulated.scenery, printed.scenery)):
+        assert one.names == other.names
+
+
+def test_a_hand_that_cannot_be_assembled_is_shown_as_it_is_simulated() -> None:
+    phi = make_task("pen_press").design_space.initial
+    phi[0] = np.pi / 2  # finger 1 in finger 2
+    take = make_take(Shot("pen_press", (), tuple(phi.tolist()), printed=True))
+    assert "mesh" not in take.robot.kinds
 
 
 def test_the_button_lights_up_while_it_is_pressed_and_the_goal_on_success(folder: RunFolder) -> None:
