@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
-from morph_core.tasks.printed import ARM_SCALE, LAID, LinkMoments, Moments
+from morph_core.tasks.printed import ARM_SCALE, LAID, LinkMoments, Moments, Servo
 
 Kind = Literal["proximal", "distal"]
 """A proximal link ends in a clevis, a distal one in a fingertip."""
@@ -22,8 +22,8 @@ Kind = Literal["proximal", "distal"]
 class Sizes:
     """mm, unless it says otherwise. The shortest link leaves little room: the tests tell when a change needs more."""
 
-    joint_radius: float = 6.0
-    """Of tang and lugs round the pin."""
+    wall: float = 4.0
+    """Of material round a pin's bore."""
     pin_diameter: float = 4.0
     """A dowel pin, pressed into the lugs."""
     pin_play: float = 0.2
@@ -71,11 +71,26 @@ class Sizes:
     """Diameter and depth of the counterbores."""
     cable_hole: float = 20.0
     """Diameter, in the middle of the palm."""
+    servo_pocket: tuple[float, float, float] = (23.2, 12.6, 16.5)
+    """Of an MG90S below its flange, and room: along the flange, across it, and deep."""
+    servo_radius: float = 48.3
+    """Distance of a pocket's middle from the palm's axis: outside the flange on which the palm is bolted."""
+    servo_flange: tuple[float, float] = (32.6, 12.4)
+    """Along and across: what the servo covers of the palm's top."""
+    servo_screws: tuple[float, float, float] = (27.8, 1.7, 8.0)
+    """Distance, diameter and depth of the pilot holes of its two screws."""
+    tendon_hole: tuple[float, float] = (39.0, 2.0)
+    """Distance from the palm's axis, and diameter: the way from a servo to the inner side of its finger."""
     foot_radius: float = 47.5
     """Of the reacher's foot, before it is enlarged like its links."""
     foot_high: float = -12.0
     """Top of the foot's disc below the axis of the arm."""
     foot_low: float = -24.0
+
+    @property
+    def joint_radius(self) -> float:
+        """Of tang and lugs round the pin."""
+        return self.pin_diameter / 2 + self.wall
 
     @property
     def shoulder(self) -> float:
@@ -108,10 +123,17 @@ def link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
 
 
 @lru_cache(256)
-def palm(angles: tuple[float, ...], sizes: Sizes = SIZES) -> Manifold:
-    """Return the palm with mounts at `angles` rad. Its origin is on its axis, at the height of the fingers' pins."""
-    mounts = [mount(sizes).rotate((0, 0, math.degrees(angle))) for angle in angles]
-    return Manifold.batch_boolean([plate(sizes), *mounts], OpType.Add)
+def palm(angles: tuple[float, ...], servo: Servo = "none", sizes: Sizes = SIZES) -> Manifold:
+    """Return the palm with mounts, and pockets for servos above them, at `angles` rad.
+
+    Its origin is on its axis, at the height of the fingers' pins.
+    """
+
+    def round_it(piece: Manifold) -> list[Manifold]:
+        return [piece.rotate((0, 0, math.degrees(angle))) for angle in angles]
+
+    body = Manifold.batch_boolean([plate(sizes), *round_it(mount(sizes))], OpType.Add)
+    return body if servo == "none" else Manifold.batch_boolean([body, *round_it(pocket(sizes))], OpType.Subtract)
 
 
 @lru_cache(256)
@@ -145,6 +167,19 @@ def mount(sizes: Sizes = SIZES, overlap: float = SIZES.overlap) -> Manifold:
     block += eye.translate((pin, 0, 0))
     slot = _corners((pin - sizes.shoulder, 1e3), _slot(sizes), (-1e3, sizes.palm_low))
     return block - slot - _bore(sizes).translate((pin, 0, 0))
+
+
+@lru_cache(256)
+def pocket(sizes: Sizes = SIZES) -> Manifold:
+    """Return what a servo's pocket, its screws and its tendon take from the palm, for a finger at angle 0."""
+    top, radius = sizes.palm_high, sizes.servo_radius
+    (along, across, deep), (apart, pilot, screw), (hole, bore) = (
+        sizes.servo_pocket, sizes.servo_screws, sizes.tendon_hole
+    )  # fmt: skip
+    body = _corners((radius - across / 2, radius + across / 2), along, (top - deep, top))
+    screws = [_cylinder(pilot / 2, top - screw, top, sizes).translate((radius, y, 0)) for y in (-apart / 2, apart / 2)]
+    tendon = _cylinder(bore / 2, sizes.palm_low, top, sizes).translate((hole, 0, 0))
+    return Manifold.batch_boolean([body, *screws, tendon], OpType.Add)
 
 
 @lru_cache(256)
@@ -279,9 +314,9 @@ def _constants() -> str:
         fields = (f"        {name}={value!r}," for name, value in vars(measured_link(kind)).items())
         lines += [f'    "{kind}": LinkMoments(', *fields, "    ),"]
     lines.append("}")
-    for name, part in (("PLATE", plate()), ("MOUNT", mount(SIZES, overlap=0.0))):
+    for name, part in (("PLATE", plate()), ("MOUNT", mount(SIZES, overlap=0.0)), ("POCKET", pocket())):
         m = moments(*mesh(part)).scaled(1e-3)
-        # Both are symmetric about y = 0, the palm's plate in every direction round its axis.
+        # All are symmetric about y = 0, the palm's plate in every direction round its axis.
         first = [0.0 if name == "PLATE" else float(m.first[0]), 0.0, float(m.first[2])]
         second = np.where(np.abs(m.second) > 1e-9 * np.abs(m.second).max(), m.second, 0.0).tolist()
         lines += [f"{name} = Moments({m.volume!r},", f"    np.array({first}),", f"    np.array({second}),", ")"]

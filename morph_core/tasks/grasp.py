@@ -1,5 +1,6 @@
 """What the hands' tasks share: control, observation, and the paper's reward for lifting and pressing."""
 
+import typing
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
@@ -12,6 +13,7 @@ from morph_core.design import DesignSpace
 from morph_core.task import Hardware, Transition
 from morph_core.tasks import palette
 from morph_core.tasks.hand import OBJECT_CONTACT, TABLE_CONTACT, Hand
+from morph_core.tasks.printed import Servo
 from morph_core.tasks.simulation import SUBSTEPS, TIMESTEP, HandPhysics, add_contact_sensor, set_physics
 
 OBJECT_FRICTION = (0.8, 0.02, 0.0005)
@@ -20,6 +22,7 @@ PRESSED = 0.5
 """Share of the button's travel."""
 BUTTON_DAMPING, BUTTON_ARMATURE, BUTTON_MASS = 1.0, 0.01, 0.01  # N s/m, kg, kg
 POSE = 7  # numbers of an object's pose in qpos: position and quaternion
+Grasp = Literal["any_two", "two_besides_presser"]
 
 Z_PALM, Z_JOINT, Z_POSITION, Z_ROTATION = 0.03, 0.15, 0.02, 0.1
 """m, rad, m, rad: typical changes in a control step, the units of z."""
@@ -32,8 +35,10 @@ class GraspTask(ABC):
     An action changes the targets of the palm's and the fingers' servos, ten times a second.
     """
 
-    grasp: Literal["any_two", "two_besides_presser"] = "any_two"
+    grasp: Grasp = "any_two"
     """In hand = risen, with two fingers on object or button; or, strictly, two on the body besides the presser."""
+    servo: Servo = "none"
+    """For which the palm has pockets, one above each finger: they cost mass, and fingers need more room."""
     initial_length: float = 0.12
     """m: both links of every finger of the initial design."""
     lift_height: float = 0.05
@@ -79,10 +84,11 @@ class GraspTask(ABC):
     explorations: ClassVar[tuple[Exploration, ...]] = ("design",)
 
     def __post_init__(self) -> None:
-        if self.grasp not in ("any_two", "two_besides_presser"):
-            raise ValueError(f'unknown grasp "{self.grasp}"; choose from: any_two, two_besides_presser')
+        for name, allowed in (("grasp", typing.get_args(Grasp)), ("servo", typing.get_args(Servo))):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f'unknown {name} "{getattr(self, name)}"; choose from: {", ".join(allowed)}')
         for name, value in vars(self).items():
-            if name in ("grasp", "z_unit"):
+            if name in ("grasp", "servo", "z_unit"):
                 continue
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < np.inf:
                 raise ValueError(f"{name} must be a finite number, not negative, and is {value!r}")
@@ -116,7 +122,7 @@ class GraspTask(ABC):
 
     @property
     def hand(self) -> Hand:
-        return Hand(self.fingers, self.initial_length)
+        return Hand(self.fingers, self.initial_length, servo=self.servo)
 
     @property
     def design_space(self) -> DesignSpace:

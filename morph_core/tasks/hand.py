@@ -9,7 +9,7 @@ import numpy as np
 from morph_core.design import DesignSpace
 from morph_core.protocol import Parameter
 from morph_core.tasks import palette
-from morph_core.tasks.printed import link_inertial, palm_inertial, set_inertial
+from morph_core.tasks.printed import Servo, link_inertial, palm_inertial, set_inertial
 
 PALM_RADIUS = 0.06  # m
 PALM_THICKNESS = 0.024  # m
@@ -22,6 +22,8 @@ PROXIMAL_RANGE = (-0.9, 1.7)  # rad, outward
 DISTAL_RANGE = (-0.6, 2.2)  # rad, inward
 JOINT_KP, JOINT_KV, JOINT_TORQUE = 8.0, 0.6, 4.0  # N m/rad, N m s/rad, N m
 JOINT_DAMPING, JOINT_ARMATURE = 0.1, 0.01  # N m s/rad, kg m^2
+SPACING: dict[Servo, float] = {"none": 2 * FINGER_RADIUS, "mg90s": 0.0445}
+"""m: neighbouring fingers' distance on the palm, at least; then neither they nor their servos are in each other."""
 START_PROXIMAL, START_DISTAL = 1.45, 0.25  # rad: fingers spread out and down
 START_CLEARANCE = 0.09  # m: between table and fingertips
 LENGTH_BOX = (0.02, 0.4)  # m
@@ -41,6 +43,7 @@ class Hand:
     fingers: int
     initial_length: float
     start_clearance: float = START_CLEARANCE
+    servo: Servo = "none"
 
     @cached_property
     def base_angles(self) -> np.ndarray:
@@ -72,14 +75,14 @@ class Hand:
         )
 
     def interpenetrates(self, phi: np.ndarray) -> np.ndarray:
-        """Tell (...) for designs phi (..., d) whether two fingers are mounted inside each other.
+        """Tell (...) for designs phi (..., d) whether two fingers, or their servos, are mounted inside each other.
 
         The start posture spreads the fingers, so that neighbours are closest at their base.
         """
         angle = self.base_angles + phi[..., : self.fingers]
         i, j = np.triu_indices(self.fingers, 1)
         distance = 2 * PALM_RADIUS * np.abs(np.sin((angle[..., i] - angle[..., j]) / 2))
-        return np.any(distance < 2 * FINGER_RADIUS, axis=-1)
+        return np.any(distance < SPACING[self.servo], axis=-1)
 
     def start(self, phi: np.ndarray) -> np.ndarray:
         """Return the start posture (..., joints) of designs phi (..., d): fingertips above the object."""
@@ -107,7 +110,7 @@ class Hand:
         disc.contype, disc.conaffinity = PALM_CONTACT
         _add_servo(spec, "palm", PALM_RANGE, PALM_KP, PALM_KV, PALM_FORCE)
         angles, lengths = self.base_angles + phi[: self.fingers], phi[self.fingers :]
-        set_inertial(palm, palm_inertial(angles))
+        set_inertial(palm, palm_inertial(angles, self.servo))
         for i in range(self.fingers):
             self._add_finger(spec, palm, i, float(angles[i]), float(lengths[i]))
         spec.add_key(name="start", qpos=self.start(phi), ctrl=self.start(phi))

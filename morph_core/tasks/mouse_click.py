@@ -51,7 +51,7 @@ class MouseClick(GraspTask):
 
     @property
     def hand(self) -> Hand:
-        return Hand(self.fingers, self.initial_length, self.height + START_GAP)
+        return Hand(self.fingers, self.initial_length, self.height + START_GAP, self.servo)
 
     @property
     def half_extents(self) -> np.ndarray:

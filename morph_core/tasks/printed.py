@@ -1,7 +1,7 @@
 """Mass, centre of mass and inertia of the printed parts: polynomials in a link's length, a sum over a palm's mounts.
 
 The parts themselves are drawn in `studio.geometry`, whose tests compare them with the numbers here. They are printed
-solid, so that mass is spread evenly; pins, bolts and motors are not in it.
+solid, so that mass is spread evenly; pins, bolts and servos are not in it.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,8 @@ INFILL = 1.0  # share of the volume that is printed
 ARM_SCALE = 2.5
 """The reacher's links are the hands' links, enlarged."""
 
+Servo = Literal["none", "mg90s"]
+"""For which the palm has pockets, one for each finger."""
 LinkKind = Literal["proximal", "distal"]
 """A proximal link ends in a clevis, a distal one in a fingertip."""
 
@@ -38,6 +40,9 @@ class Moments:
     volume: float  # m^3
     first: np.ndarray  # (3,) m^4
     second: np.ndarray  # (3, 3) m^5: of the products of coordinates
+
+    def __sub__(self, other: "Moments") -> "Moments":
+        return Moments(self.volume - other.volume, self.first - other.first, self.second - other.second)
 
     def __add__(self, other: "Moments") -> "Moments":
         return Moments(self.volume + other.volume, self.first + other.first, self.second + other.second)
@@ -111,6 +116,18 @@ MOUNT = Moments(
         ]
     ),
 )
+POCKET = Moments(
+    4.91901313042186e-06,
+    np.array([2.370347987234091e-07, 0.0, 9.23110023096151e-08]),
+    np.array(
+        [
+            [1.1491026249084196e-08, 0.0, 4.448934540724991e-09],
+            [0.0, 2.2335829532199313e-10, 0.0],
+            [4.448934540724991e-09, 0.0, 1.8444809938455888e-09],
+        ]
+    ),
+)
+"""What a servo's pocket takes from the palm."""
 
 LAID = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """From a hanging link, which turns about y, to one of the arm, which lies along x and turns about z."""
@@ -128,14 +145,14 @@ def link_inertial(kind: LinkKind, length: float) -> Inertial:
     return LINKS[kind].at(length).inertial()
 
 
-def palm_inertial(angles: np.ndarray) -> Inertial:
+def palm_inertial(angles: np.ndarray, servo: Servo = "none") -> Inertial:
     """Return the palm with mounts at `angles` (n,) rad; its origin is on its axis, level with the fingers' joints.
 
-    Mounts that overlap count twice: such a hand can't be assembled, and its episodes are truncated.
+    Mounts or pockets that overlap count twice: such a hand can't be assembled, and its episodes are truncated.
     """
-    total = PLATE
+    total, each = PLATE, MOUNT if servo == "none" else MOUNT - POCKET
     for cos, sin in zip(np.cos(angles), np.sin(angles), strict=True):
-        total += MOUNT.turned(np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]))
+        total += each.turned(np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]))
     return total.inertial()
 
 

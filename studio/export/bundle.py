@@ -160,7 +160,7 @@ def _papers(
     }
     image = None
     if parts:
-        papers["BOM.csv"] = bill_of_materials(parts, isinstance(task, GraspTask))
+        papers["BOM.csv"] = bill_of_materials(parts, task if isinstance(task, GraspTask) else None)
         model = task.spec(phi).compile()
         data, colours = start_posture(model), _colours(model, parts)
         surfaces = []

@@ -10,7 +10,7 @@ from manifold3d import Manifold
 
 from morph_core.task import Task
 from morph_core.tasks.grasp import GraspTask
-from morph_core.tasks.hand import FINGER_RADIUS, PALM_RADIUS
+from morph_core.tasks.hand import PALM_RADIUS, SPACING
 from morph_core.tasks.printed import Inertial, Moments
 from studio import geometry
 from studio.export.errors import ExportError
@@ -95,7 +95,7 @@ def dress(spec: mujoco.MjSpec, parts: Sequence[Part], files: Mapping[str, bytes]
 
 def _hand(task: GraspTask, phi: np.ndarray) -> dict[str, Manifold]:
     n = task.fingers
-    solids = {"palm": geometry.palm(tuple(float(a) for a in task.hand.base_angles + phi[:n]))}
+    solids = {"palm": geometry.palm(tuple(float(a) for a in task.hand.base_angles + phi[:n]), task.servo)}
     for i, length in enumerate(phi[n:], start=1):
         solids[f"finger_{i}_proximal"] = geometry.link("proximal", float(length) / MILLIMETRE)
         solids[f"finger_{i}_distal"] = geometry.link("distal", float(length) / MILLIMETRE)
@@ -126,5 +126,5 @@ def _check_mounts(task: GraspTask, phi: np.ndarray) -> None:
     i, j = sorted(int(k) for k in np.unravel_index(apart.argmin(), apart.shape))
     raise ExportError(
         f"fingers {i + 1} and {j + 1} stand {apart[i, j] / MILLIMETRE:.3g} mm apart on the palm, "
-        f"{2 * FINGER_RADIUS / MILLIMETRE:g} mm are needed: this hand can't be assembled"
+        f"{SPACING[task.servo] / MILLIMETRE:g} mm are needed: this hand can't be assembled"
     )

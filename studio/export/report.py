@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from html import escape
 
 from morph_core.protocol import Evaluation
-from morph_core.tasks.printed import DENSITY, INFILL
+from morph_core.tasks.grasp import GraspTask
+from morph_core.tasks.printed import ARM_SCALE, DENSITY, INFILL
 from studio.export.design_file import Design
 from studio.export.parts import Part
 from studio.export.policy import Score
@@ -23,7 +24,7 @@ pre{background:#f3f4f6;padding:.6rem;overflow-x:auto}.dim{color:#5c6370}
 """
 
 
-def bill_of_materials(parts: Sequence[Part], hand: bool) -> bytes:
+def bill_of_materials(parts: Sequence[Part], hand: GraspTask | None) -> bytes:
     """Return BOM.csv: what is printed, and what is bought."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -40,9 +41,9 @@ def bill_of_materials(parts: Sequence[Part], hand: bool) -> bytes:
     return out.getvalue().encode()
 
 
-def _bought(parts: Sequence[Part], hand: bool) -> list[list[object]]:
+def _bought(parts: Sequence[Part], hand: GraspTask | None) -> list[list[object]]:
     links = sum(part.quantity for part in parts) - 1
-    scale = 1.0 if hand else 2.5
+    scale = 1.0 if hand else ARM_SCALE
     pin, length = SIZES.pin_diameter * scale, 2 * SIZES.half_width * scale
     items: list[list[object]] = [
         [f"dowel pin {pin:g} x {length:g} mm", links, "", "", "steel", "", "",
@@ -50,6 +51,12 @@ def _bought(parts: Sequence[Part], hand: bool) -> list[list[object]]:
     ]  # fmt: skip
     if hand:
         items.append(["bolt M6 x 20", 4, "palm", "", "steel", "", "", "flange ISO 9409-1-50-4-M6; not in the masses"])
+    if hand and hand.servo != "none":
+        items.append([
+            f"servo {hand.servo.upper()}", hand.fingers, "palm", "", "", 13.4, "",
+            "screw into its pocket; its tendon runs down through the hole beside it; not in the masses; weaker "
+            "than the drives that were simulated: control.json",
+        ])  # fmt: skip
     items.append([
         "servo or tendon drive", links, "", "", "", "", "",
         "not part of the design: control.json says which torque and gains were simulated",

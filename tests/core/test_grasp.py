@@ -156,7 +156,8 @@ def test_held_is_half_of_the_last_ten_steps(last: str, held: bool) -> None:
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({"grasp": "three"}, "choose from: any_two, two_besides_presser"), ({"initial_length": 0.5}, "must lie inside"),
+    [({"grasp": "three"}, "choose from: any_two, two_besides_presser"), ({"servo": "huge"}, "choose from: none, mg90s"),
+     ({"initial_length": 0.5}, "must lie inside"),
      ({"initial_length": float("nan")}, "initial_length must be a finite number"), ({"goal_bonus": -1.0}, "goal_bonus"),
      ({"mass": True}, "mass"), ({"travel": "far"}, "travel")],
 )  # fmt: skip

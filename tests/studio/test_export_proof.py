@@ -146,6 +146,19 @@ def test_every_file_of_a_hundred_designs_is_the_robot_that_is_simulated(name: st
         assert faults_of(task, phi) == [], phi
 
 
+def test_a_hand_with_pockets_for_servos_is_one_robot_too() -> None:
+    task = make_task("mouse_click", {"servo": "mg90s"})
+    phi = task.design_space.initial
+    assert faults_of(task, phi) == []
+    plain = make_task("mouse_click")
+    assert task.spec(phi).compile().body("palm").mass[0] < plain.spec(phi).compile().body("palm").mass[0]
+    phi[1] = -0.6  # finger 2 beside finger 1: there is room for it, but not for its servo
+    assert plain.buildable(phi)
+    assert not task.buildable(phi)
+    with pytest.raises(ExportError, match=r"fingers 1 and 2 stand 38\.7 mm apart on the palm, 44\.5 mm are needed"):
+        printed_parts(task, phi)
+
+
 def test_a_hand_that_cannot_be_assembled_is_refused_with_the_reason() -> None:
     task = make_task("pen_press")
     phi = task.design_space.initial

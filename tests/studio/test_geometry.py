@@ -1,6 +1,7 @@
 """The printable parts: whole for every length, free to move, inside the collision shapes, as heavy as the core says."""
 
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ from hypothesis import strategies as st
 from manifold3d import Manifold
 
 from morph_core.tasks import hand, reacher
-from morph_core.tasks.printed import DENSITY, INFILL, Inertial, arm_link_inertial, link_inertial, palm_inertial
-from studio.geometry import Kind, arm_base, arm_link, link, mesh, moments, palm
+from morph_core.tasks.printed import DENSITY, INFILL, Inertial, Servo, arm_link_inertial, link_inertial, palm_inertial
+from studio.geometry import SIZES, Kind, arm_base, arm_link, link, mesh, moments, palm, pocket
 
 LENGTHS = st.one_of(st.sampled_from([0.02, 0.4]), st.floats(*hand.LENGTH_BOX))  # m
 KINDS: tuple[Kind, ...] = ("proximal", "distal")
@@ -45,20 +46,34 @@ def test_a_link_of_any_length_is_one_watertight_body_as_heavy_as_simulated(kind:
     agree(link_inertial(kind, length), measured(part))
 
 
-@given(st.lists(st.floats(-math.pi, math.pi), min_size=1, max_size=5))
+@pytest.mark.parametrize("servo", get_args(Servo))
+@given(angles=st.lists(st.floats(-math.pi, math.pi), min_size=1, max_size=5))
 @example([0.0, 2 * math.asin(hand.FINGER_RADIUS / hand.PALM_RADIUS)])
-def test_a_palm_is_one_watertight_body_as_heavy_as_simulated(angles: list[float]) -> None:
-    part = palm(tuple(angles))
+@example([0.0, 2 * math.asin(hand.SPACING["mg90s"] / 2 / hand.PALM_RADIUS), -math.pi / 4, math.pi])
+def test_a_palm_is_one_watertight_body_as_heavy_as_simulated(servo: Servo, angles: list[float]) -> None:
+    part = palm(tuple(angles), servo)
     solid = trimesh.Trimesh(*mesh(part), process=False)
     assert solid.is_volume
     assert len(part.decompose()) == 1
-    simulated = palm_inertial(np.array(angles))
+    simulated = palm_inertial(np.array(angles), servo)
     pins = hand.PALM_RADIUS * np.exp(1j * np.array(angles))
     apart = np.abs(pins[:, None] - pins)[np.triu_indices(len(angles), 1)]
-    if (apart >= 2 * hand.FINGER_RADIUS - 1e-12).all():
+    if (apart >= hand.SPACING[servo] - 1e-12).all():
         agree(simulated, measured(part))
-    else:  # such a hand can't be assembled
+    elif servo == "none":  # such a hand can't be assembled
         assert simulated.mass >= measured(part).mass * (1 - 1e-9)
+
+
+def test_servos_of_neighbours_stand_beside_each_other_and_beside_the_flange_that_holds_the_palm() -> None:
+    (along, across), radius = SIZES.servo_flange, SIZES.servo_radius
+    flange = Manifold.cube((across, along, 20.0)).translate((radius - across / 2, -along / 2, SIZES.palm_high))
+    angle = 2 * math.degrees(math.asin(hand.SPACING["mg90s"] / 2 / hand.PALM_RADIUS))
+    assert (flange ^ flange.rotate((0, 0, angle))).volume() == 0
+    assert (pocket() ^ pocket().rotate((0, 0, angle))).volume() == 0
+    corner = math.hypot(radius + across / 2, along / 2)
+    assert corner <= SIZES.palm_radius - SIZES.palm_chamfer  # it lies on the palm
+    iso_9409_1_50 = 63.0 / 2  # mm
+    assert radius - across / 2 > iso_9409_1_50
 
 
 @pytest.mark.parametrize("kind", KINDS)
