@@ -1,0 +1,49 @@
+"""The picture of the assembly: what is nearest is seen, whole, in its own colour."""
+
+import io
+
+import numpy as np
+from PIL import Image
+
+from studio.export.picture import HEIGHT, WIDTH, picture
+
+FAN = np.linspace(0, 2 * np.pi, 400)
+
+
+def disc(height: float) -> np.ndarray:
+    """Return a disc of slender triangles (F, 3, 3) that all meet in its middle, seen from above."""
+    rim = np.stack([np.cos(FAN), np.sin(FAN), 0 * FAN], 1) + [0, 0, height]
+    middle = np.full((len(FAN) - 1, 3), [0, 0, height])
+    return np.stack([middle, rim[:-1], rim[1:]], 1)
+
+
+def painted(*surfaces: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return the picture (height, width, 4)."""
+    return np.array(Image.open(io.BytesIO(picture(surfaces))))
+
+
+def test_slender_triangles_leave_no_gaps() -> None:
+    image = painted((disc(0.0), np.array([1.0, 0.0, 0.0])))
+    assert image.shape == (HEIGHT, WIDTH, 4)
+    covered = image[..., 3] == 255
+    for row in covered[covered.any(1)]:
+        first, last = np.flatnonzero(row)[[0, -1]]
+        assert row[first : last + 1].all()
+    assert covered.mean() > 0.2
+    assert image[0, 0, 3] == 0  # the ground is transparent
+
+
+def test_the_nearest_surface_hides_the_others() -> None:
+    red, blue = (disc(1.0), np.array([1.0, 0.0, 0.0])), (disc(0.0), np.array([0.0, 0.0, 1.0]))
+    for surfaces in ((red, blue), (blue, red)):
+        image = painted(*surfaces).astype(int)
+        solid = image[image[..., 3] == 255]
+        assert (solid[:, 0] > 50).mean() > 0.4  # all of the upper one
+        seen = image[:, WIDTH // 2]
+        assert seen[seen[:, 3] == 255][0, 0] > 50  # and it is above
+
+
+def test_a_surface_seen_from_behind_is_not_drawn() -> None:
+    back = disc(0.0)[:, ::-1]
+    image = painted((back, np.array([1.0, 0.0, 0.0])), (disc(-3.0), np.array([0.0, 1.0, 0.0])))
+    assert not image[..., 0].any()
