@@ -99,8 +99,8 @@ def report(
 <pre>model = mujoco.MjModel.from_xml_path("{escape(design.robot)}.xml")
 model = mujoco.MjModel.from_xml_path("scene.xml")   # or drop {escape(design.robot)}.mjz on live.mujoco.org</pre>
 <p>ROS 2
-<pre>ros2 launch urdf_tutorial display.launch.py model:=$PWD/{escape(design.robot)}.urdf   # meshes have relative paths
-ros2 run robot_state_publisher robot_state_publisher {escape(design.robot)}.urdf</pre>
+<pre>sed "s|filename=\\"|&amp;file://$PWD/|" {escape(design.robot)}.urdf &gt; ros.urdf   # meshes by whole addresses
+ros2 launch urdf_tutorial display.launch.py model:=$PWD/ros.urdf</pre>
 <p>Isaac Sim / Isaac Lab
 <pre>./isaaclab.sh -p scripts/tools/convert_urdf.py {escape(design.robot)}.urdf {escape(design.robot)}.usd --fix-base
 # then set the servo gains and armatures of control.json on the joint drives</pre>

@@ -71,7 +71,7 @@ class DesignPanel:
         for p, value, initial in zip(space.parameters, phi, history.initial_phi, strict=True):
             row = self.rows[p.name]
             lock = ", locked" if p.locked_at is not None else ""
-            row.folder.label = f"{p.name}: {_in_words(p, value)}{lock} (initially {_in_words(p, initial)})"
+            row.folder.label = f"{p.name}: {_in_words(p, value)}{lock} (initially {_number(initial)})"
             if p != row.shown:
                 self._fill(row, p)
 
@@ -154,8 +154,12 @@ class DesignPanel:
 
 def _in_words(p: Parameter, value: float) -> str:
     """Return "2.000 m" or "0.052 rad, 3.0°"."""
-    words = f"{value:.3f} {p.unit}".rstrip()
+    words = f"{_number(value)} {p.unit}".rstrip()
     return f"{words}, {unit_of(p).words(value)}" if p.unit == "rad" else words
+
+
+def _number(value: float) -> str:
+    return f"{round(value, 3) + 0.0:.3f}".replace("-", "−")
 
 
 def _step(p: Parameter) -> float:

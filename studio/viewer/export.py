@@ -49,8 +49,8 @@ class ExportPanel:
             }
         self.check = gui.add_button("Check and prepare", icon=viser.Icon.CHECKLIST, color="blue")
         self.notice = gui.add_html("", visible=False)
-        self.result = gui.add_html("", visible=False)
         self.download = gui.add_button("Download", icon=viser.Icon.DOWNLOAD, color="green", visible=False)
+        self.result = gui.add_html("", visible=False)
         self.bring = gui.add_upload_button(
             "Go on from a design…", icon=viser.Icon.UPLOAD, mime_type="application/json,application/zip",
             hint="A design.json, or an exported zip: the run goes on from it",

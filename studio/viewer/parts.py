@@ -27,7 +27,7 @@ class Unit:
     digits: int
 
     def number(self, value: float) -> str:
-        return f"{value * self.factor:.{self.digits}f}".replace("-", "−")
+        return f"{round(value * self.factor, self.digits) + 0.0:.{self.digits}f}".replace("-", "−")  # no "−0.0"
 
     def words(self, value: float) -> str:
         """Return "12.0 cm"."""

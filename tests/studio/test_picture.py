@@ -12,7 +12,7 @@ FAN = np.linspace(0, 2 * np.pi, 400)
 
 def disc(height: float) -> np.ndarray:
     """Return a disc of slender triangles (F, 3, 3) that all meet in its middle, seen from above."""
-    rim = np.stack([np.cos(FAN), np.sin(FAN), 0 * FAN], 1) + [0, 0, height]
+    rim = np.stack([np.cos(FAN), np.sin(FAN), np.full(len(FAN), height)], 1)
     middle = np.full((len(FAN) - 1, 3), [0, 0, height])
     return np.stack([middle, rim[:-1], rim[1:]], 1)
 
