@@ -79,6 +79,7 @@ def make_viewer(server: viser.ViserServer, runs: Runs) -> Shows:
             iterations=wish.iterations,
             settings=wish.settings,
             task_options=wish.task_options,
+            parameters=wish.parameters,
         )
 
     def on_export(run_id: str, which: str, formats: Sequence[str] | None) -> Bundle:

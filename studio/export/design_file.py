@@ -12,6 +12,8 @@ from studio.export.errors import ExportError
 
 FILE = "design.json"
 KIND = "morph-studio design"
+DESIGN_TYPES = "application/json,application/zip"
+"""What a browser is asked for: a design.json, or a bundle."""
 
 
 class Value(msgspec.Struct, frozen=True, kw_only=True):

@@ -6,6 +6,7 @@ import viser
 
 from morph_core.history import History
 from studio.export.bundle import ALL_FORMATS, OPTIONAL_FORMATS, Bundle
+from studio.export.design_file import DESIGN_TYPES
 from studio.viewer import wording
 
 CHOICES = ("best", "latest", "iteration")
@@ -52,7 +53,7 @@ class ExportPanel:
         self.download = gui.add_button("Download", icon=viser.Icon.DOWNLOAD, color="green", visible=False)
         self.result = gui.add_html("", visible=False)
         self.bring = gui.add_upload_button(
-            "Go on from a design…", icon=viser.Icon.UPLOAD, mime_type="application/json,application/zip",
+            "Go on from a design…", icon=viser.Icon.UPLOAD, mime_type=DESIGN_TYPES,
             hint="A design.json, or an exported zip: the run goes on from it",
         )  # fmt: skip
         self.design.on_update(lambda _: self._choose())

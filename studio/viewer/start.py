@@ -9,9 +9,12 @@ from dataclasses import dataclass
 import viser
 
 from morph_core.config import Method, Projection, config_from
+from morph_core.protocol import Parameter
 from morph_core.task import check_settings
 from morph_core.tasks import TASKS, make_task
+from studio.export.design_file import DESIGN_TYPES, Design, phi_for, read_design, starting_from
 from studio.viewer import wording
+from studio.viewer.take import Shot
 
 _MOST_ITERATIONS = 1_000_000
 _LARGEST_SEED = 2**31 - 1
@@ -29,6 +32,8 @@ class StartRequest:
     """Fields of Config."""
     task_options: dict[str, object]
     """Fields of the task's dataclass."""
+    parameters: list[Parameter] | None = None
+    """The design space, where it does not start from the task's initial design."""
 
 
 class StartPanel:
@@ -41,9 +46,10 @@ class StartPanel:
         on_start: Callable[[StartRequest, viser.ClientHandle | None], None],
         on_preview: Callable[[], None],
     ) -> None:
-        """`on_preview` is called when another task or task option is chosen."""
+        """`on_preview` is called when another task, task option or design to start from is chosen."""
         self._on_start = on_start
         self._on_preview = on_preview
+        self._design: Design | None = None
         first = next(iter(TASKS))
         task = make_task(first)
         config = task.config
@@ -73,23 +79,48 @@ class StartPanel:
                 hint="How the hardware's output z is explored.",
             )  # fmt: skip
             self.start = gui.add_button("Start", color="green", icon=viser.Icon.PLAYER_PLAY)
+            self.source = gui.add_html("", visible=False)
+            self.bring = gui.add_upload_button(
+                "Start from a design…", icon=viser.Icon.UPLOAD, mime_type=DESIGN_TYPES,
+                hint="A design.json, or an exported zip: the run begins with it instead of the initial design",
+            )  # fmt: skip
+            self.forget = gui.add_button("Start from the initial design", icon=viser.Icon.X, visible=False)
         self.start.on_click(lambda event: self.submit(event.client))
         self.task.on_update(lambda _: self._choose_task())
+        self.bring.on_upload(lambda event: self.take(event.target.value.content))
+        self.forget.on_click(lambda _: self._start_from(None))
         for handles in self.options.values():
             for handle in handles.values():
                 handle.on_update(lambda _: self._on_preview())
 
     @property
-    def preview(self) -> tuple[str, dict[str, object]] | None:
-        """The task and options that are chosen, or None if they are none."""
-        task = self.task.value
-        if task not in TASKS:
+    def preview(self) -> Shot | None:
+        """The design that a run would begin with, in the task and with the options that are chosen; None without."""
+        name = self.task.value
+        if name not in TASKS:
             return None
+        options = self._task_options(name)
         try:
-            make_task(task, self._task_options(task))
-        except ValueError:
+            space = make_task(name, options).design_space
+            phi = phi_for(self._design, name, space) if self._design else space.initial
+        except (ValueError, TypeError):
             return None
-        return task, self._task_options(task)
+        return Shot(task=name, task_options=tuple(sorted(options.items())), phi=tuple(phi.tolist()), printed=True)
+
+    def take(self, content: bytes) -> None:
+        """Begin with the design of a design.json or of a bundle, in its task; say so where it can't be."""
+        try:
+            design = read_design(content)
+            phi_for(design, design.task, make_task(design.task, design.task_options).design_space)
+        except (ValueError, TypeError) as error:
+            self.tell(str(error))
+            return
+        self.tell(None)
+        self.task.value = design.task
+        for name, handle in self.options[design.task].items():
+            if name in design.task_options:
+                handle.value = str(design.task_options[name])
+        self._start_from(design)
 
     def request(self) -> StartRequest:
         """Return what the form says, or raise ValueError with a sentence that says what is allowed."""
@@ -110,6 +141,7 @@ class StartPanel:
             iterations=_whole("iterations", self.iterations.value, 1, _MOST_ITERATIONS),
             settings=settings,
             task_options=self._task_options(name),
+            parameters=starting_from(self._design, task.design_space) if self._design else None,
         )
 
     def submit(self, client: viser.ClientHandle | None) -> None:
@@ -151,16 +183,28 @@ class StartPanel:
         }
 
     def _task_options(self, task: str) -> dict[str, object]:
-        """Return the options that differ from the task's defaults."""
+        """Return the options that differ from the task's defaults: those of the form, and others of the design."""
         defaults = make_task(task)
-        chosen = {name: handle.value for name, handle in self.options[task].items()}
+        others = self._design.task_options if self._design and self._design.task == task else {}
+        chosen = others | {name: handle.value for name, handle in self.options[task].items()}
         return {name: value for name, value in chosen.items() if value != getattr(defaults, name)}
+
+    def _start_from(self, design: Design | None) -> None:
+        """Begin with a design, or with the task's own."""
+        self._design = design
+        self.source.visible = self.forget.visible = design is not None
+        if design is not None:
+            said = f"begins with the design of iteration {design.iteration} of {design.run}"
+            self.source.content = wording.alert(said, wording.BLUE)
+        self._on_preview()
 
     def _choose_task(self) -> None:
         chosen = self.task.value
         if chosen not in TASKS:
             self.tell(f'unknown task "{chosen}"; choose from: {", ".join(sorted(TASKS))}')
             return
+        if self._design and self._design.task != chosen:
+            self._start_from(None)
         for task, handles in self.options.items():
             for handle in handles.values():
                 handle.visible = task == chosen

@@ -10,7 +10,6 @@ import viser
 
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, InjectDesign, Status
-from morph_core.tasks import make_task
 from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design
 from studio.viewer import wording
@@ -238,9 +237,9 @@ class Viewer:
         self.export.clear()
         if run_id is None:
             self.traces.clear("no data yet: press Start")
-            self.timeline.clear("the initial design, in its start posture")
+            self.timeline.clear("what a run begins with, in its start posture")
             if preview := self.start.preview:
-                self.player.show(_preview(*preview))
+                self.player.show(preview)
             return
         status, message = self._statuses.get(run_id, ("starting", "starting…"))
         if run_id not in self._statuses and time.monotonic() - self._awaited_since > _START_PATIENCE:
@@ -299,9 +298,3 @@ class Viewer:
 
     def _show_time(self, seconds: float, duration: float) -> None:
         self.timeline.show_time(seconds, duration)
-
-
-def _preview(task: str, options: Mapping[str, object]) -> Shot:
-    """Return the initial design of a task, for a page without a run."""
-    phi = tuple(make_task(task, options).design_space.initial.tolist())
-    return Shot(task=task, task_options=tuple(sorted(options.items())), phi=phi, printed=True)

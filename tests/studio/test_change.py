@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from conftest import Page, make_hand_run, make_run
+from conftest import Page, design_of, make_hand_run, make_run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -193,6 +193,57 @@ def test_a_heading_gives_an_angle_in_degrees_too(page: Page, folder: RunFolder) 
     page.show(folder, "running")
     assert str(page.viewer.design.rows["placement_1"].folder.label).startswith("placement_1: 0.100 rad, 5.7°")
     assert str(page.viewer.design.rows["length_2"].folder.label).startswith("length_2: 0.")
+
+
+def test_a_run_can_begin_with_a_design_that_was_exported(page: Page, folder: RunFolder) -> None:
+    history, form = History(folder), page.viewer.start
+    phi = [0.1, -0.2, 0.0, 0.3, 0.2, 0.21, 0.22, 0.23]
+    options: dict[str, object] = {"grasp": "two_besides_presser", "mass": 0.2}
+    design = msgspec.structs.replace(design_of(history, phi), task_options=options)
+    form.take(msgspec.json.encode(design))
+    assert form.task.value == "pen_press"
+    assert form.options["pen_press"]["grasp"].value == "two_besides_presser"
+    assert "begins with the design of iteration 1" in form.source.content
+    assert page.take(lambda take: take.shot.phi == tuple(phi)).shot.task == "pen_press"
+    form.submit(None)
+    (request,) = page.started
+    assert request.task_options == options
+    assert request.parameters is not None
+    assert [p.initial for p in request.parameters] == phi
+    page.viewer.select(None)
+    form._start_from(None)
+    assert page.take(lambda take: take.shot.phi != tuple(phi)).shot.phi[4:] == (0.12,) * 4
+    form.submit(None)
+    assert page.started[1].parameters is None
+    assert page.started[1].task_options == {"grasp": "two_besides_presser"}
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [({"task": "juggling"}, "choose from"), ({"parameters": []}, "lacks placement_1"), ({"kind": "cake"}, "no design"),
+     ({"task_options": {"mass": "heavy"}}, "mass must be a finite number"), ({"task_options": {"hue": 1}}, "hue")],
+)  # fmt: skip
+def test_what_is_no_design_to_begin_with_is_refused_and_changes_nothing(
+    page: Page, folder: RunFolder, change: dict[str, object], sentence: str
+) -> None:
+    form = page.viewer.start
+    design = msgspec.structs.replace(design_of(History(folder), [0.0] * 4 + [0.2] * 4), **change)
+    form.take(msgspec.json.encode(design))
+    assert sentence in form.notice.content
+    assert form.task.value == next(iter(TASKS))
+    assert not form.source.visible
+    form.submit(None)
+    assert page.started[0].parameters is None
+
+
+def test_another_task_drops_the_design_of_the_first(page: Page, folder: RunFolder) -> None:
+    form = page.viewer.start
+    form.take(msgspec.json.encode(design_of(History(folder), [0.0] * 4 + [0.2] * 4)))
+    assert form.source.visible
+    form.task.value = "mouse_click"
+    assert not form.source.visible
+    form.submit(None)
+    assert (page.started[0].task, page.started[0].parameters) == ("mouse_click", None)
 
 
 @pytest.mark.parametrize("task", HANDS)
