@@ -4,7 +4,7 @@ import functools
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,6 +74,11 @@ def unit_of(p: Parameter) -> Unit:
     if p.unit == "m":
         return Unit("cm", 100.0, 1) if p.hard_hi < 1 else Unit("m", 1.0, 2)
     return Unit(p.unit, 1.0, 2)
+
+
+def shows_parts(parameters: Sequence[Parameter]) -> bool:
+    """Tell whether printed parts are wide enough to be seen: on links of metres they are threads."""
+    return all(p.hard_hi < 1 for p in parameters if p.unit == "m")
 
 
 def quantities_of(history: History) -> list[Quantity]:

@@ -14,6 +14,7 @@ from morph_core.task import check_settings
 from morph_core.tasks import TASKS, make_task
 from studio.export.design_file import DESIGN_TYPES, Design, phi_for, read_design, starting_from
 from studio.viewer import wording
+from studio.viewer.parts import shows_parts
 from studio.viewer.take import Shot
 
 _MOST_ITERATIONS = 1_000_000
@@ -105,7 +106,8 @@ class StartPanel:
             phi = phi_for(self._design, name, space) if self._design else space.initial
         except (ValueError, TypeError):
             return None
-        return Shot(task=name, task_options=tuple(sorted(options.items())), phi=tuple(phi.tolist()), printed=True)
+        settled = tuple(sorted(options.items()))
+        return Shot(name, settled, phi=tuple(phi.tolist()), printed=shows_parts(space.parameters))
 
     def take(self, content: bytes) -> None:
         """Begin with the design of a design.json or of a bundle, in its task; say so where it can't be."""

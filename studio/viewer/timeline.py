@@ -7,6 +7,7 @@ import viser
 
 from morph_core.history import History
 from studio.viewer import wording
+from studio.viewer.parts import shows_parts
 from studio.viewer.player import SPEEDS, Player
 
 _TRAIL = 6
@@ -84,9 +85,11 @@ class TimelinePanel:
 
     def update(self, history: History, *, live: bool) -> None:
         """Take in what a run has recorded."""
-        if self._history is None or history.record.id != self._history.record.id:
-            self.follow.value = True
+        another = self._history is None or history.record.id != self._history.record.id
         self._history = history
+        if another:
+            self.follow.value = True
+            self.printed.value = shows_parts(history.record.parameters)
         self._latest = history.iteration
         self._recorded = [e.iteration for e in history.evaluations if e.rollout]
         self.iteration.max = max(self._latest, 1)

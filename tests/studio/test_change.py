@@ -32,6 +32,17 @@ def words_of(table: str) -> list[str]:
     return [words for words in re.split(r"(?:<[^>]*>|\s)*<[^>]*>(?:<[^>]*>|\s)*", table) if words]
 
 
+def test_a_hand_shows_its_printed_parts_until_somebody_wants_its_collision_shapes(
+    page: Page, folder: RunFolder
+) -> None:
+    page.show(folder)
+    assert set(page.take(lambda take: take.shot.task == "pen_press").robot.kinds) == {"mesh"}
+    page.viewer.timeline.printed.value = False
+    assert set(page.take(lambda take: "mesh" not in take.robot.kinds).robot.kinds) == {"capsule", "cylinder"}
+    page.viewer.select(None)
+    assert "mesh" not in page.take(lambda take: take.shot.task == "reacher").robot.kinds  # threads among metres
+
+
 # --- parts and units ---
 
 

@@ -32,11 +32,9 @@ from morph_core.protocol import (
 )
 from morph_core.run_folder import EventLog, RunFolder, write_rollout
 from morph_core.tasks import make_task
-from morph_core.tasks.printed import ARM_SCALE
-from studio.geometry import SIZES
 from studio.viewer import StartRequest
 from studio.viewer.charts import MOST_POINTS, decimate
-from studio.viewer.take import Shot, Take, make_take
+from studio.viewer.take import Shot, make_take
 from studio.viewer.viewer import NEW_RUN
 
 
@@ -77,13 +75,6 @@ def progress(iteration: int, **values: object) -> Progress:
     return Progress(iteration=iteration, **(known | values))  # pyright: ignore[reportArgumentType]
 
 
-def link_length(take: Take) -> float:
-    """Return the length of the first link, m: its printed part reaches round both of its pins."""
-    mesh = take.robot.meshes[take.robot.names.index("link_1_visual")]
-    assert mesh is not None
-    return float(np.ptp(mesh.vertices, axis=0).max()) - 2e-3 * ARM_SCALE * SIZES.joint_radius
-
-
 # --- without a run ---
 
 
@@ -94,7 +85,7 @@ def test_a_page_without_runs_shows_the_initial_design_and_the_start_panel(page: 
     assert "press Start" in page.viewer.traces.note.content
     assert not page.viewer.traces.charts
     take = page.take()
-    assert set(take.robot.names) == {"base_visual", *(f"link_{i}_visual" for i in range(1, 6))}
+    assert set(take.robot.names) == {"base", *(f"link_{i}" for i in range(1, 6))}
     assert "goal" in take.scenery.names
     assert take.frames == 1
 
@@ -163,7 +154,7 @@ def test_a_run_is_shown_with_its_numbers_charts_and_episode(page: Page, folder: 
     take = page.take(lambda take: take.frames > 1)
     assert take.duration == pytest.approx(0.3)
     assert take.ghost is not None
-    assert link_length(take) == pytest.approx(2.7)
+    np.testing.assert_allclose(take.robot.sizes[1:, 2], 1.35)
     np.testing.assert_allclose(take.ghost.sizes[1:, 2], 1.5)
 
 
@@ -240,7 +231,7 @@ def test_a_rollout_that_is_damaged_is_reported_and_the_next_design_is_shown(page
     page.viewer.timeline.follow.value = False
     page.viewer.timeline.iteration.value = 2
     page.show(folder)
-    assert link_length(page.take(lambda take: take.shot.phi[0] == 2.8)) == pytest.approx(2.8)
+    np.testing.assert_allclose(page.take(lambda take: take.shot.phi[0] == 2.8).robot.sizes[1:, 2], 1.4)
 
 
 # --- choosing ---
