@@ -19,12 +19,13 @@ def change_table(history: History, phi: np.ndarray) -> str:
     )
     rows = []
     for part, colour in parts:
-        swatch = f'<i style="display:inline-block;width:0.7em;height:0.7em;border-radius:2px;background:{colour}"></i>'
         cells = "".join(
             f'<td style="{_cell(q is quantities[0])}">{_entry(q, part, history.initial_phi, phi)}</td>'
             for q in quantities
         )
-        rows.append(f'<tr><td style="white-space:nowrap">{swatch} {wording.text(part)}</td>{cells}</tr>')
+        rows.append(
+            f'<tr><td style="white-space:nowrap">{wording.swatch(colour)} {wording.text(part)}</td>{cells}</tr>'
+        )
     several = len(quantities) > 1
     return wording.paragraph(
         '<table style="width:97%;border-collapse:collapse;line-height:1.25;font-variant-numeric:tabular-nums">'

@@ -36,6 +36,7 @@ class TimelinePanel:
         self.panel = gui.add_panel()
         with self.panel.add_tab("Playback", viser.Icon.PLAYER_PLAY):
             self.what = gui.add_html("")
+            self.legend = gui.add_html("")
             self.follow = gui.add_checkbox("follow latest", True, hint="Show each new design as it comes (F)")
             self.iteration = gui.add_slider(
                 "iteration", 0, 1, 1, 0, hint="The design of this iteration; 0 is the initial one"
@@ -121,6 +122,11 @@ class TimelinePanel:
             handle.visible = duration > 0
         self.time.max = max(round(duration, 2), 0.01)
         self.time.value = round(seconds, 2)
+
+    def show_legend(self, legend: str) -> None:
+        """Say what the colours of the scene mean."""
+        if legend != self.legend.content:
+            self.legend.content = legend
 
     def toggle_playback(self) -> None:
         playing = not self._player.playing

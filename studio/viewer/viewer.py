@@ -15,6 +15,7 @@ from studio.export.design_file import phi_for, read_design
 from studio.viewer import wording
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
+from studio.viewer.legend import legend_of
 from studio.viewer.player import Player
 from studio.viewer.run import ENDED, RunPanel
 from studio.viewer.scene import light_up
@@ -298,3 +299,5 @@ class Viewer:
 
     def _show_time(self, seconds: float, duration: float) -> None:
         self.timeline.show_time(seconds, duration)
+        if self.player.take:
+            self.timeline.show_legend(legend_of(self.player.take))

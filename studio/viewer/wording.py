@@ -54,6 +54,12 @@ def dim(content: str) -> str:
     return f'<span style="opacity:0.65">{content}</span>'
 
 
+def swatch(colour: str | tuple[int, int, int]) -> str:
+    """Return a small square of a CSS colour, or of red, green and blue up to 255."""
+    css = colour if isinstance(colour, str) else "rgb({}, {}, {})".format(*colour)
+    return f'<i style="display:inline-block;width:0.7em;height:0.7em;border-radius:2px;background:{css}"></i>'
+
+
 def badge(status: Status) -> str:
     colour = STATUS_COLOURS[status]
     return (

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from morph_core.run_folder import RunFolder, write_rollout
 from morph_core.tasks import TASKS, make_task
+from studio.viewer.legend import legend_of
 from studio.viewer.scene import is_flat
 from studio.viewer.take import GOAL_LIT, LIT_BY, Shot, Take, _from_their_end, _moving_contacts, make_take
 
@@ -182,3 +183,16 @@ def test_markers_never_leave_the_line_between_contacts(touches: list[bool], fact
     seen = points[np.isfinite(points).all(2)]
     assert (np.diff(seen[:, 0]) >= 0).all()
     assert set(np.flatnonzero(np.isfinite(points[::factor, 0, 0])) - 1) >= set(np.flatnonzero(touches))
+
+
+def test_the_legend_names_the_colours_that_are_in_the_scene(folder: RunFolder) -> None:
+    quiet = legend_of(take_of(folder, episode_of("pen_press")))
+    assert "goal" in quiet
+    assert "button" in quiet
+    assert not any(word in quiet for word in ("reached", "pressed", "contact", "design"))
+    contact = np.full((STEPS, 4, 3), np.nan)
+    contact[1, 2] = 0.1
+    episode = episode_of("pen_press", success=at(2), contact=contact, **{"milestones/pressed": at(2)})
+    busy = legend_of(take_of(folder, episode, ghost=tuple(episode["phi"].tolist())))
+    assert all(word in busy for word in ("reached", "pressed", "contact", "initial design"))
+    assert f"rgb{LIT_BY['button'][1]}" in busy

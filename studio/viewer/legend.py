@@ -1,0 +1,48 @@
+"""The legend: what the colours of the scene mean, of what is in it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from studio.viewer import wording
+from studio.viewer.figure import Figure
+from studio.viewer.scene import CONTACT_COLOUR, GHOST_COLOUR
+from studio.viewer.take import GOAL_LIT, LIT_BY, WALL_LIT, Take
+
+Colour = tuple[int, int, int]
+
+
+def legend_of(take: Take) -> str:
+    """Return swatches and words as HTML."""
+    entries = [f"{wording.swatch(colour)}&nbsp;{wording.text(words)}" for colour, words in _entries(take)]
+    return wording.paragraph(wording.dim(" &ensp;".join(entries)))
+
+
+def _entries(take: Take) -> Iterator[tuple[Colour, str]]:
+    goal = _colour_of(take.scenery, "goal")
+    if goal:
+        yield goal, "goal"
+        if take.goal_touched.any():
+            yield GOAL_LIT, "reached"
+    for name, (milestone, light) in LIT_BY.items():
+        colour = _colour_of(take.objects, name)
+        if colour:
+            yield colour, name
+            if milestone in take.milestones and take.milestones[milestone].any():
+                yield light, milestone
+    if np.isfinite(take.contact).any():
+        yield CONTACT_COLOUR, "contact"
+    if take.touched.any():
+        yield WALL_LIT, "wall hit"
+    pale = [("initial", take.ghost), ("earlier", take.trail), ("explored", take.population)]
+    names = [name for name, figure in pale if figure]
+    if names:
+        yield GHOST_COLOUR, f"{', '.join(names)} design{'s' * (names != ['initial'])}"
+
+
+def _colour_of(figure: Figure, name: str) -> Colour | None:
+    """Return the colour of the part of that name, or None if there is none."""
+    if name not in figure.names:
+        return None
+    red, green, blue = (int(c) for c in figure.colours[figure.names.index(name)])
+    return red, green, blue
