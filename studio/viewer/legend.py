@@ -14,8 +14,11 @@ Colour = tuple[int, int, int]
 
 def legend_of(take: Take) -> str:
     """Return swatches and words as HTML."""
-    entries = [f"{wording.swatch(colour)}&nbsp;{wording.text(words)}" for colour, words in _entries(take)]
-    return wording.paragraph(wording.dim(" &ensp;".join(entries)))
+    entries = [
+        f'<span style="white-space:nowrap;margin-right:0.9em">{wording.swatch(colour)} {wording.text(words)}</span>'
+        for colour, words in _entries(take)
+    ]
+    return wording.paragraph(" ".join(entries))
 
 
 def _entries(take: Take) -> Iterator[tuple[Colour, str]]:
