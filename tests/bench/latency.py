@@ -43,12 +43,12 @@ def post(base: str, path: str, body: dict[str, object]) -> dict[str, object]:
 
 
 @contextlib.contextmanager
-def served() -> Iterator[tuple[int, Path]]:
-    """Run a real server; give its port and its folder of runs."""
+def served(kept: Path | None = None) -> Iterator[tuple[int, Path]]:
+    """Run a real server; give its port and its folder of runs: `kept`, or one that is gone afterwards."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    with tempfile.TemporaryDirectory() as runs:
+    with contextlib.nullcontext(str(kept)) if kept else tempfile.TemporaryDirectory() as runs:
         command = [sys.executable, "-m", "studio.cli", "serve", "--no-browser", "--port", str(port), "--runs", runs]
         server = subprocess.Popen([*command, "--token", TOKEN], stdout=subprocess.PIPE, text=True)
         try:

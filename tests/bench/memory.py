@@ -7,6 +7,7 @@ line through the memory after the warm-up.
 import threading
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import psutil
@@ -29,6 +30,8 @@ class Memory:
     """Share of the run before the fit."""
     every: float = 1.0
     """Seconds between two samples."""
+    runs: Path | None = None
+    """Keep the run in this folder."""
 
 
 def growth(samples: np.ndarray, warm_up: float) -> tuple[float, float]:
@@ -43,7 +46,7 @@ def growth(samples: np.ndarray, warm_up: float) -> tuple[float, float]:
 def main(options: Memory) -> None:
     ended, taken = threading.Event(), list[int]()
     samples: dict[str, list[tuple[int, float]]] = {"trainer": [], "studio": []}
-    with served() as (port, runs):
+    with served(options.runs) as (port, runs):
         studio = next(p for p in psutil.Process().children() if "studio.cli" in p.cmdline())
         viewer = threading.Thread(target=watch, args=(port, ended, taken))
         viewer.start()

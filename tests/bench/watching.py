@@ -29,6 +29,7 @@ CAMERA = {
 class Watching:
     """How much to measure."""
 
+    task: str = "reacher"
     viewers: int = 2
     iterations: int = 40
     pairs: int = 3
@@ -53,14 +54,14 @@ def watch(port: int, ended: threading.Event, taken: list[int]) -> None:
                 continue
 
 
-def cost(port: int, runs: Path, viewers: int, iterations: int) -> tuple[float, float, list[float], int]:
+def cost(port: int, runs: Path, task: str, viewers: int, iterations: int) -> tuple[float, float, list[float], int]:
     """Return CPU and wall seconds of the trainer between its first and last iteration, the last phi, and bytes seen."""
     ended, taken = threading.Event(), list[int]()
     threads = [threading.Thread(target=watch, args=(port, ended, taken)) for _ in range(viewers)]
     for thread in threads:
         thread.start()
     time.sleep(2)
-    run = post(f"http://127.0.0.1:{port}", "/api/runs", {"task": "reacher", "iterations": iterations})["id"]
+    run = post(f"http://127.0.0.1:{port}", "/api/runs", {"task": task, "iterations": iterations})["id"]
     history = History(RunFolder(runs / str(run)))
     while history.status not in ("finished", "failed"):
         time.sleep(0.1)
@@ -78,7 +79,7 @@ def main(options: Watching) -> None:
         for pair in range(options.pairs):
             order = (0, options.viewers) if pair % 2 == 0 else (options.viewers, 0)  # the machine's drift cancels
             for viewers in order:
-                cpu, wall, phi, taken = cost(port, runs, viewers, options.iterations)
+                cpu, wall, phi, taken = cost(port, runs, options.task, viewers, options.iterations)
                 rows.append((viewers, cpu, wall, phi))
                 print(f"{viewers} viewers: trainer {cpu:.2f} CPU-s, {wall:.2f} s, {taken / 1e6:.1f} MB seen")
     alone, watched = (np.array([row[1:3] for row in rows if bool(row[0]) is seen]) for seen in (False, True))
