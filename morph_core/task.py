@@ -120,6 +120,10 @@ class Task(Protocol):
         """Tell (...) which designs (..., d) can be put together at all."""
         ...
 
+    def check_buildable(self, phi: np.ndarray) -> None:
+        """Raise ValueError with the reason where a design (d,) can't be put together."""
+        ...
+
     def hw_phy(self, phi: np.ndarray) -> Hardware:
         """Return F_phi for one design (d,), or for one design per environment (N, d)."""
         ...

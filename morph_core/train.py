@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import functools
 import os
 import platform
 import signal
@@ -77,9 +78,13 @@ class Trainer:
         self.beat()
         self._log = EventLog(folder)
 
+    @functools.cached_property
+    def _task(self) -> Task:
+        return make_task(self._record.task, self._record.task_options)
+
     def run(self) -> None:
         """Train until the last iteration, a stop or an exception."""
-        task = make_task(self._record.task, self._record.task_options)
+        task = self._task
         config = config_from(self._record.config)
         check_settings(task, config)
         state, cpu_before = self._load(task, config)
@@ -237,7 +242,7 @@ class Trainer:
                 return "stopping"
             case protocol.Checkpoint():
                 return f"checkpoint of iteration {state.iteration} saved"
-        return apply_edit(command, state)
+        return apply_edit(command, state, self._task)
 
     # --- saying and saving ---
 
@@ -269,7 +274,7 @@ class Trainer:
                 return result
 
 
-def apply_edit(command: AnyCommand, state: State) -> str:
+def apply_edit(command: AnyCommand, state: State, task: Task) -> str:
     """Apply a change of alpha, projection, box, locks or phi; return what is in force, or raise ValueError."""
     space = state.design_space
     match command:
@@ -282,27 +287,29 @@ def apply_edit(command: AnyCommand, state: State) -> str:
             state.projection = rule
             return f"projection is {rule}"
         case protocol.SetBound(name=name, lo=lo, hi=hi):
-            _move(state, space.with_bound(name, lo, hi), state.phi)
+            _move(state, task, space.with_bound(name, lo, hi), state.phi)
             return f"{name} is kept inside [{lo:g}, {hi:g}] {space.parameters[space.index(name)].unit}"
         case protocol.Lock(name=name, value=value):
             held = float(state.phi[space.index(name)]) if value is None else value
-            _move(state, space.with_lock(name, held), state.phi)
+            _move(state, task, space.with_lock(name, held), state.phi)
             return f"{name} is locked at {held:g} {space.parameters[space.index(name)].unit}"
         case protocol.Unlock(name=name):
-            _move(state, space.without_lock(name), state.phi)
+            _move(state, task, space.without_lock(name), state.phi)
             return f"{name} is free"
         case protocol.InjectDesign(phi=phi):
-            _move(state, space, space.check(phi))
+            _move(state, task, space, space.check(phi))
             return "going on from the given design"
     raise ValueError(f"{type(command).__name__} changes nothing in a run's state")
 
 
-def _move(state: State, space: DesignSpace, phi: np.ndarray) -> None:
-    """Put the new box and phi in force; a proxy of another design would pull phi back, so it is fitted afresh.
+def _move(state: State, task: Task, space: DesignSpace, phi: np.ndarray) -> None:
+    """Put the new box and phi in force; raise ValueError for a design that can't be put together.
 
-    The search goes on, even where it had been found good enough to freeze phi.
+    A proxy of another design would pull phi back, so it is fitted afresh. The search goes on, even where it had been
+    found good enough to freeze phi.
     """
     inside = space.clip(phi)
+    task.check_buildable(inside)
     state.fitted = state.fitted and bool(np.array_equal(inside, state.phi))
     state.frozen = False
     state.design_space, state.phi = space, inside

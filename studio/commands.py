@@ -7,9 +7,10 @@ import msgspec
 from morph_core.config import check_field
 from morph_core.design import DesignSpace
 from morph_core.protocol import AnyCommand, InjectDesign, Lock, SetAlpha, SetBound, SetProjection, Unlock
+from morph_core.task import Task
 
 
-def check_command(command: AnyCommand, space: DesignSpace) -> AnyCommand:
+def check_command(command: AnyCommand, space: DesignSpace, task: Task) -> AnyCommand:
     """Return the command with its fields' types made sure of; raise ValueError that says what is allowed."""
     try:
         command = msgspec.convert(msgspec.to_builtins(command), AnyCommand)
@@ -29,7 +30,7 @@ def check_command(command: AnyCommand, space: DesignSpace) -> AnyCommand:
         case Unlock(name=name):
             space.index(name)
         case InjectDesign(phi=phi):
-            space.check(phi)
+            task.check_buildable(space.check(phi))
             for p, value in zip(space.parameters, phi, strict=True):
                 if p.locked_at is not None and not math.isclose(value, p.locked_at):
                     raise ValueError(f"{p.name} is locked at {p.locked_at:g} {p.unit}, not {value:g}: unlock it first")

@@ -49,6 +49,7 @@ def prepare_run(
     space = chosen.design_space
     if parameters is not None:
         space = _edited(space, parameters)
+    chosen.check_buildable(space.initial)
     revision, dirty = git_state()
     base = new_run_id(task, method, seed)
     record = RunRecord(

@@ -30,6 +30,7 @@ from morph_core.run_folder import (
     process_alive,
     still_beating,
 )
+from morph_core.tasks import make_task
 from studio.commands import check_command
 from studio.new_run import MAX_ITERATIONS, check_whole, prepare_run
 from studio.trainers import spawn_trainer
@@ -189,7 +190,8 @@ class Runs:
     def send(self, run_id: str, command: AnyCommand) -> int:
         """Put a command into the run's inbox and return its id; ValueError, the run unchanged, if it is no good."""
         history = self.get(run_id)
-        command = check_command(command, history.design_space)
+        task = make_task(history.record.task, history.record.task_options)
+        command = check_command(command, history.design_space, task)
         with self._lock:
             if not self._is_alive(history):
                 raise ValueError(f"{run_id} is {self.status(history)[0]}: resume it, then send commands")

@@ -192,6 +192,9 @@ class GraspTask(ABC):
     def buildable(self, phi: np.ndarray) -> np.ndarray:
         return ~self.hand.interpenetrates(phi)
 
+    def check_buildable(self, phi: np.ndarray) -> None:
+        self.hand.check_spacing(phi)
+
     def hw_phy(self, phi: np.ndarray) -> HandPhysics:
         return HandPhysics(self, np.asarray(phi, dtype=float))
 

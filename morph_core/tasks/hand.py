@@ -79,10 +79,24 @@ class Hand:
 
         The start posture spreads the fingers, so that neighbours are closest at their base.
         """
+        return np.any(self._distances(phi) < SPACING[self.servo], axis=-1)
+
+    def check_spacing(self, phi: np.ndarray) -> None:
+        """Raise ValueError that names the fingers of a design (d,) which interpenetrate."""
+        distances = self._distances(phi)
+        nearest = int(distances.argmin())
+        if distances[nearest] < SPACING[self.servo]:
+            first, second = (int(k[nearest]) + 1 for k in np.triu_indices(self.fingers, 1))
+            raise ValueError(
+                f"fingers {first} and {second} stand {1e3 * distances[nearest]:.3g} mm apart on the palm, "
+                f"{1e3 * SPACING[self.servo]:g} mm are needed: this hand can't be assembled"
+            )
+
+    def _distances(self, phi: np.ndarray) -> np.ndarray:
+        """Return how far apart (..., pairs) m on the palm the fingers of designs phi (..., d) are."""
         angle = self.base_angles + phi[..., : self.fingers]
         i, j = np.triu_indices(self.fingers, 1)
-        distance = 2 * PALM_RADIUS * np.abs(np.sin((angle[..., i] - angle[..., j]) / 2))
-        return np.any(distance < SPACING[self.servo], axis=-1)
+        return 2 * PALM_RADIUS * np.abs(np.sin((angle[..., i] - angle[..., j]) / 2))
 
     def start(self, phi: np.ndarray) -> np.ndarray:
         """Return the start posture (..., joints) of designs phi (..., d): fingertips above the object."""

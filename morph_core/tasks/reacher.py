@@ -224,6 +224,9 @@ class Reacher:
     def buildable(self, phi: np.ndarray) -> np.ndarray:
         return np.ones(phi.shape[:-1], dtype=bool)
 
+    def check_buildable(self, phi: np.ndarray) -> None:
+        """Every arm can be put together."""
+
     def hw_phy(self, phi: np.ndarray) -> ForwardKinematics:
         return ForwardKinematics(np.asarray(phi, dtype=float), self.z == "tip")
 

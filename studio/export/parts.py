@@ -1,6 +1,5 @@
 """The printed parts of a design, named after the links that are made from them; and a model that shows them."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,7 +9,6 @@ from manifold3d import Manifold
 
 from morph_core.task import Task
 from morph_core.tasks.grasp import GraspTask
-from morph_core.tasks.hand import PALM_RADIUS, SPACING
 from morph_core.tasks.printed import Inertial, Moments
 from studio import geometry
 from studio.export.errors import ExportError
@@ -60,10 +58,13 @@ class Part:
 def printed_parts(task: Task, phi: np.ndarray) -> list[Part]:
     """Return the parts of a design, none for a task without printable geometry.
 
-    Raise ExportError for a hand that can't be assembled.
+    Raise ExportError for a design that can't be put together.
     """
+    try:
+        task.check_buildable(phi)
+    except ValueError as error:
+        raise ExportError(str(error)) from error
     if isinstance(task, GraspTask):
-        _check_mounts(task, phi)
         return _unique(_hand(task, phi))
     if task.name == "reacher":
         return _unique(_arm(phi))
@@ -116,15 +117,3 @@ def _unique(solids: Mapping[str, Manifold]) -> list[Part]:
     for name, solid in solids.items():
         links.setdefault(id(solid), []).append(name)
     return [Part(names[0], tuple(names), *geometry.mesh(solids[names[0]])) for names in links.values()]
-
-
-def _check_mounts(task: GraspTask, phi: np.ndarray) -> None:
-    if not task.hand.interpenetrates(phi):
-        return
-    angles = task.hand.base_angles + phi[: task.fingers]
-    apart = 2 * PALM_RADIUS * np.abs(np.sin((angles[:, None] - angles) / 2)) + np.diag([math.inf] * task.fingers)
-    i, j = sorted(int(k) for k in np.unravel_index(apart.argmin(), apart.shape))
-    raise ExportError(
-        f"fingers {i + 1} and {j + 1} stand {apart[i, j] / MILLIMETRE:.3g} mm apart on the palm, "
-        f"{SPACING[task.servo] / MILLIMETRE:g} mm are needed: this hand can't be assembled"
-    )

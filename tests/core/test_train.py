@@ -123,7 +123,7 @@ def test_a_steered_run_can_be_replayed_from_its_log(tmp_path: Path) -> None:
     for recorded in history.progress:
         for answer in history.acknowledged:
             if answer.iteration == recorded.iteration - 1 and not isinstance(answer.command, protocol.Stop):
-                apply_edit(answer.command, state)
+                apply_edit(answer.command, state, task)
         replayed.append(next(method).phi)
     assert replayed == [p.phi for p in history.progress]
     assert replayed[-1][0] <= 2.0
@@ -236,19 +236,36 @@ def test_edits_refuse_what_is_not_allowed_and_leave_the_state_alone() -> None:
         protocol.InjectDesign([float("nan")] * 5), protocol.InjectDesign([1.0]), protocol.InjectDesign([9.0] * 5),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=r"must|needed|unknown"):
-            apply_edit(command, state)
+            apply_edit(command, state, task)
     assert state.alpha == 1.0
     assert state.design_space == task.design_space
     assert state.phi.tolist() == [3.0] * 5
 
 
 def test_the_proxy_is_fitted_afresh_only_when_phi_was_moved() -> None:
-    state = start(make_task("reacher"), SMALL, 0)
+    task = make_task("reacher")
+    state = start(task, SMALL, 0)
     state.fitted = True
-    apply_edit(protocol.SetBound("link_1", 1.0, 4.0), state)
-    apply_edit(protocol.Lock("link_1"), state)
+    apply_edit(protocol.SetBound("link_1", 1.0, 4.0), state, task)
+    apply_edit(protocol.Lock("link_1"), state, task)
     assert state.fitted
-    apply_edit(protocol.Unlock("link_1"), state)
-    apply_edit(protocol.SetBound("link_1", 1.0, 2.0), state)
+    apply_edit(protocol.Unlock("link_1"), state, task)
+    apply_edit(protocol.SetBound("link_1", 1.0, 2.0), state, task)
     assert state.phi[0] == 2.0
     assert not state.fitted
+
+
+def test_a_hand_is_never_moved_to_where_its_fingers_stand_in_each_other() -> None:
+    task = make_task("pen_press")
+    state = start(task, task.config, 0)
+    inside = state.phi.copy()
+    inside[0] = np.pi / 2 - 0.1
+    for command in (
+        protocol.InjectDesign(inside.tolist()),
+        protocol.Lock("placement_1", inside[0]),
+        protocol.SetBound("placement_1", inside[0], 3.0),
+    ):
+        with pytest.raises(ValueError, match="fingers 1 and 2 stand 6 mm apart on the palm, 30 mm are needed"):
+            apply_edit(command, state, task)
+    assert state.design_space == task.design_space
+    assert state.phi.tolist() == task.design_space.initial.tolist()

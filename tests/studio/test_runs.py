@@ -383,9 +383,20 @@ def test_fields_of_the_wrong_kind_are_refused(command: AnyCommand) -> None:
 
 def test_a_locked_parameter_keeps_its_value_in_an_injected_design() -> None:
     locked = SPACE.with_lock("link_2", 1.0)
-    assert check_command(InjectDesign([1.0] * 5), locked)
+    assert check_command(InjectDesign([1.0] * 5), locked, REACHER)
     with pytest.raises(ValueError, match="link_2 is locked at 1 m"):
-        check_command(InjectDesign([2.0] * 5), locked)
+        check_command(InjectDesign([2.0] * 5), locked, REACHER)
+
+
+def test_a_design_whose_fingers_stand_in_each_other_is_refused_with_the_reason(runs_folder: Path) -> None:
+    hand = make_task("pen_press")
+    phi = [math.pi / 2, *[0.0] * 3, *[0.2] * 4]
+    with pytest.raises(ValueError, match="fingers 1 and 2 stand 0 mm apart"):
+        check_command(InjectDesign(phi), hand.design_space, hand)
+    moved = [msgspec.structs.replace(p, initial=v) for p, v in zip(hand.design_space.parameters, phi, strict=True)]
+    with pytest.raises(ValueError, match="fingers 1 and 2 stand 0 mm apart"):
+        Runs(runs_folder, stand_in).start(task="pen_press", parameters=moved)
+    assert not list(runs_folder.glob("*"))
 
 
 def test_a_refused_command_never_reaches_the_inbox(runs_folder: Path) -> None:
@@ -405,7 +416,7 @@ def test_a_run_that_has_ended_takes_no_commands(runs_folder: Path) -> None:
 
 def _accepted(command: AnyCommand) -> bool:
     try:
-        check_command(command, SPACE)
+        check_command(command, SPACE, REACHER)
     except ValueError:
         return False
     return True
