@@ -8,7 +8,7 @@ import msgspec
 from fastapi import Request, Response
 
 from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Parent, Progress
-from studio.api.fields import Field
+from studio.fields import Field
 from studio.runs import MAX_ITERATIONS, Summary
 
 MAX_BODY = 1 << 20

@@ -6,8 +6,8 @@ from fastapi import APIRouter, Response
 
 from morph_core.config import Method
 from morph_core.tasks import TASKS, make_task
-from studio.api.fields import fields_of
 from studio.api.messages import TaskInfo, TaskList, gives, gives_file, reply
+from studio.fields import fields_of
 from studio.preview import preview_svg
 
 

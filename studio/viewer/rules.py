@@ -1,12 +1,11 @@
 """The rules of a run in words: how it learns, the task's options, and what counts as success."""
 
-import dataclasses
 import inspect
 import re
-import typing
 
 from morph_core.history import History
 from morph_core.tasks import TASKS, make_task
+from studio.fields import fields_of
 
 
 def rules_of(history: History) -> list[str]:
@@ -32,13 +31,7 @@ def options_of(task: str, given: dict[str, object]) -> dict[str, object]:
         made = make_task(task, given)
     except (ValueError, TypeError):  # a task of another version
         return given
-    kinds = typing.get_type_hints(type(made))
-    words = [
-        field.name
-        for field in dataclasses.fields(TASKS[task])
-        if field.init and typing.get_origin(kinds[field.name]) is typing.Literal
-    ]
-    return {name: getattr(made, name) for name in words} | given
+    return {field.name: field.default for field in fields_of(made) if field.choices} | given
 
 
 def success_rule(task: str) -> str:

@@ -1,6 +1,5 @@
 """The start panel: everything a new run needs, and one button."""
 
-import dataclasses
 import math
 import typing
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from morph_core.protocol import Parameter
 from morph_core.task import check_settings
 from morph_core.tasks import TASKS, make_task
 from studio.export.design_file import DESIGN_TYPES, Design, phi_for, read_design, starting_from
+from studio.fields import fields_of
 from studio.viewer import wording
 from studio.viewer.parts import shows_parts
 from studio.viewer.take import Shot
@@ -170,19 +170,13 @@ class StartPanel:
 
     def _add_options(self, gui: viser.GuiApi, task: str) -> dict[str, viser.GuiDropdownHandle]:
         """Add a choice for every option of the task that is one of a few words."""
-        kinds = typing.get_type_hints(TASKS[task])
-        choices = {
-            field.name: [str(choice) for choice in typing.get_args(kinds[field.name])]
-            for field in dataclasses.fields(TASKS[task])
-            if field.init and typing.get_origin(kinds[field.name]) is typing.Literal
-        }
-        defaults = make_task(task)
         return {
-            name: gui.add_dropdown(
-                name, words, initial_value=getattr(defaults, name), visible=task == next(iter(TASKS))
+            field.name: gui.add_dropdown(
+                field.name, [str(choice) for choice in field.choices], initial_value=str(field.default),
+                hint=field.doc, visible=task == next(iter(TASKS)),
             )
-            for name, words in choices.items()
-        }
+            for field in fields_of(make_task(task)) if field.choices
+        }  # fmt: skip
 
     def _task_options(self, task: str) -> dict[str, object]:
         """Return the options that differ from the task's defaults: those of the form, and others of the design."""
