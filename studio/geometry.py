@@ -111,9 +111,11 @@ class Sizes:
 
 
 SIZES = Sizes()
+_LINKS = 16
+"""Are kept, enough for one design: a studio that watches for hours must not grow with each."""
 
 
-@lru_cache(256)
+@lru_cache(_LINKS)
 def link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
     """Return a link of `length` mm in the frame of its joint."""
     if kind == "proximal":
@@ -122,7 +124,7 @@ def link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
     return _tip_shaft(length, sizes) + _eye(sizes, sizes.neck, sizes.tang) - _bore(sizes, sizes.pin_play)
 
 
-@lru_cache(256)
+@lru_cache(2)
 def palm(angles: tuple[float, ...], servo: Servo = "none", sizes: Sizes = SIZES) -> Manifold:
     """Return the palm with mounts, and pockets for servos above them, at `angles` rad.
 
@@ -136,7 +138,7 @@ def palm(angles: tuple[float, ...], servo: Servo = "none", sizes: Sizes = SIZES)
     return body if servo == "none" else Manifold.batch_boolean([body, *round_it(pocket(sizes))], OpType.Subtract)
 
 
-@lru_cache(256)
+@lru_cache(2)
 def plate(sizes: Sizes = SIZES) -> Manifold:
     """Return the palm without mounts."""
     radius, low, high, c = sizes.palm_radius, sizes.palm_low, sizes.palm_high, sizes.palm_chamfer
@@ -153,7 +155,7 @@ def plate(sizes: Sizes = SIZES) -> Manifold:
     return disc - Manifold.batch_boolean(bolts, OpType.Add)
 
 
-@lru_cache(256)
+@lru_cache(2)
 def mount(sizes: Sizes = SIZES, overlap: float = SIZES.overlap) -> Manifold:
     """Return the clevis of a finger at angle 0, reaching into the palm by `overlap`."""
     near, far = sizes.mount_root
@@ -169,7 +171,7 @@ def mount(sizes: Sizes = SIZES, overlap: float = SIZES.overlap) -> Manifold:
     return block - slot - _bore(sizes).translate((pin, 0, 0))
 
 
-@lru_cache(256)
+@lru_cache(2)
 def pocket(sizes: Sizes = SIZES) -> Manifold:
     """Return what a servo's pocket, its screws and its tendon take from the palm, for a finger at angle 0."""
     top, radius = sizes.palm_high, sizes.servo_radius
@@ -182,13 +184,13 @@ def pocket(sizes: Sizes = SIZES) -> Manifold:
     return Manifold.batch_boolean([body, *screws, tendon], OpType.Add)
 
 
-@lru_cache(256)
+@lru_cache(_LINKS)
 def arm_link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
     """Return a link of the reacher of `length` mm, which lies along x and turns about z: a finger's, enlarged."""
     return link(kind, length / ARM_SCALE, sizes).transform(np.column_stack([ARM_SCALE * LAID, np.zeros(3)]))
 
 
-@lru_cache(256)
+@lru_cache(2)
 def arm_base(sizes: Sizes = SIZES) -> Manifold:
     """Return the reacher's foot: a disc and a boss, on which the first link turns round its pin."""
     bore, top = sizes.pin_diameter / 2, -sizes.tang / 2 - sizes.side_play
