@@ -89,5 +89,6 @@ def test_the_map_names_every_module_of_the_core() -> None:
     assert named == core | {f"tasks/{name}" for name in shared}
 
 
-def test_the_picture_is_small() -> None:
-    assert (ROOT / "docs" / "studio.gif").stat().st_size < 500_000
+@pytest.mark.parametrize("path", re.findall(r"!\[[^\]]+\]\(([^)]+)\)", README))
+def test_a_picture_is_small(path: str) -> None:
+    assert (ROOT / path).stat().st_size < 500_000
