@@ -1,7 +1,7 @@
 """Draw what `study.py --out` wrote: `python tests/bench/curves.py --out docs/hands.svg pen=pen_morph.jsonl,...`.
 
 One panel for each name before a `=`; success of the sampled policy on Hw-Phy with the present phi over the steps of the
-simulation, relabelling counted: a line per seed, and a thick one for their median. Needs matplotlib.
+simulation, relabelling counted: a line per seed, and a thick one for their median while all of them run.
 """
 
 import json
@@ -43,7 +43,7 @@ def draw(axes: Any, title: str, rows: list[dict[str, Any]]) -> None:
         axes.plot(grid, median, color=colour, linewidth=2.2, label=f"{method}, {len(some)} seeds")
     axes.set(title=title, xlabel="steps of the simulation [million]", ylabel="episodes held [%]", ylim=(-2, 102))
     axes.grid(alpha=0.25)
-    axes.legend(frameon=False, loc="upper left", fontsize=8)
+    axes.legend(edgecolor="none", framealpha=0.85, loc="lower right", bbox_to_anchor=(1.0, 0.04), fontsize=8)
 
 
 def main(options: Curves) -> None:
