@@ -236,9 +236,9 @@ def test_a_hand_plays_with_its_object_and_reads_finger_by_finger(server: Server,
         expect(frame.get_by_text(words).first).to_be_attached()
 
     # The scene: hand, pen and table are there, and the pen is no part of what stands there as a ghost.
-    nodes = wait_for("the pen", lambda: (names := nodes_of(frame)) and "/objects/box" in names and names, 30)
-    assert {"/robot/mesh_0", "/scenery/box", "/scenery/sphere", "/ghost/cylinder", "/ruler/lines"} <= set(nodes)
-    assert "/ghost/box" not in nodes
+    wanted = {"/robot/mesh_0", "/objects/box", "/scenery/box", "/scenery/sphere", "/ghost/cylinder", "/ruler/lines"}
+    wait_for("hand, pen, table and ghost", lambda: wanted <= set(nodes_of(frame)), 30)
+    assert "/ghost/box" not in nodes_of(frame)
     posture = robot_of(frame)
     wait_for("a moving hand", lambda: robot_of(frame) != posture, 30)
     assert [error for error in errors if "unsafe-eval" not in error] == []
