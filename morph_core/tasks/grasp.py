@@ -257,7 +257,7 @@ class GraspTask(ABC):
             reward=sum(terms.values(), np.zeros(len(s))),
             reward_terms=terms,
             terminated=np.zeros(len(s), dtype=bool),
-            truncated=outcome.diverged | ~self.buildable(physics.phi),
+            truncated=outcome.diverged | ~physics.buildable,
             success=goal,
             milestones={"lifted": lifted, "pressed": pressed},
             contact=_contact_points(outcome.sensors),
@@ -339,7 +339,9 @@ def _rotation_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     w, v = before[:, :1], before[:, 1:]
     w2, v2 = after[:, :1], after[:, 1:]
     real = w2 * w + (v2 * v).sum(1, keepdims=True)  # after * conjugate(before)
-    imaginary = -w2 * v + w * v2 - np.cross(v2, v)
+    imaginary = w * v2 - w2 * v
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # minus v2 x v; np.cross takes five times as long
+        imaginary[:, i] -= v2[:, j] * v[:, k] - v2[:, k] * v[:, j]
     imaginary = np.where(real < 0, -imaginary, imaginary)
     sine = np.linalg.norm(imaginary, axis=1, keepdims=True)
     angle = 2 * np.arctan2(sine, np.abs(real))

@@ -31,6 +31,10 @@ class Simulated(Protocol):
         """Return hand, object, table and contact sensors with design phi (d,)."""
         ...
 
+    def buildable(self, phi: np.ndarray) -> np.ndarray:
+        """Tell (...) which designs (..., d) can be put together at all."""
+        ...
+
     def split(self, s: np.ndarray) -> list[np.ndarray]:
         """Return qpos (N, nq), qvel (N, nv) and the warm start (N, nv) of states s."""
         ...
@@ -58,6 +62,7 @@ class HandPhysics:
 
     def __init__(self, task: Simulated, phi: np.ndarray) -> None:
         self.phi = phi  # (d,) or (N, d)
+        self.buildable = task.buildable(phi)  # () or (N,) bool
         self._task = task
         distinct, which = np.unique(np.atleast_2d(phi), axis=0, return_inverse=True)
         models = [task.scene(design).compile() for design in distinct]

@@ -34,6 +34,7 @@ class Staged(HandPhysics):
 
     def __init__(self, outcome: Outcome) -> None:
         self.phi, self._outcome = TASK.design_space.initial, outcome
+        self.buildable = TASK.buildable(self.phi)
 
     def run(self, s: np.ndarray, a: np.ndarray) -> Outcome:  # noqa: ARG002
         return self._outcome
