@@ -9,6 +9,7 @@ import logging
 import math
 import secrets
 from importlib.resources import files
+from typing import Annotated
 
 import msgspec
 import viser
@@ -24,7 +25,7 @@ from websockets.http11 import Response as UpgradeResponse
 from websockets.typing import Subprotocol
 
 MAX_MESSAGE = 1 << 20
-"""Bytes a browser may send in one message; the client's own are below 1 kB."""
+"""Bytes a browser may send in one message; the client's own are below 1 kB, but for parts of files."""
 ALLOWED = frozenset(
     {
         "ViewerCameraMessage", "GuiUpdateMessage", "GuiButtonHoldMessage", "GuiFormDirtyMessage",
@@ -33,7 +34,33 @@ ALLOWED = frozenset(
         "TransformControlsDragEndMessage", "FileTransferPartAck",
     }
 )  # fmt: skip
-"""What a browser may tell viser. Not: share tunnels to another company's server, uploads, anything it gets newly."""
+"""What a browser may tell viser. Not: share tunnels to another company's server, anything it gets newly."""
+MAX_PARTS = 64
+"""Of a file that is uploaded: an exported design, which has a few. The client sends half a megabyte in each."""
+
+
+class UploadStart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransferStartUpload"):
+    """A browser announces a file for an upload button."""
+
+    source_component_uuid: str
+    transfer_uuid: str
+    filename: str
+    mime_type: str
+    part_count: Annotated[int, msgspec.Meta(ge=1, le=MAX_PARTS)]
+    size_bytes: Annotated[int, msgspec.Meta(ge=1, le=MAX_PARTS * MAX_MESSAGE)]
+
+
+class UploadPart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransferPart"):
+    """A part of it."""
+
+    source_component_uuid: str
+    transfer_uuid: str
+    part_index: Annotated[int, msgspec.Meta(ge=0, lt=MAX_PARTS)]
+    content: bytes
+
+
+UPLOADS = frozenset({"FileTransferStartUpload", "FileTransferPart"})
+"""Admitted too, where all their fields are as they should be."""
 
 _log = logging.getLogger(__name__)
 
@@ -87,8 +114,13 @@ def admit(message: bytes) -> bool:
         content = msgspec.msgpack.decode(message)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError):
         return False
-    if not isinstance(content, dict) or content.get("type") not in ALLOWED or not _is_finite(content):
+    if not isinstance(content, dict) or content.get("type") not in ALLOWED | UPLOADS or not _is_finite(content):
         return False
+    if content["type"] in UPLOADS:
+        try:
+            msgspec.convert(content, UploadStart | UploadPart)
+        except msgspec.ValidationError:
+            return False
     if content["type"] == "GuiUpdateMessage":  # viser sets any attribute of that name
         updates = content.get("updates")
         return isinstance(updates, dict) and set(updates) <= {"value"}

@@ -175,7 +175,7 @@ def test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives(
             {"type": "ShareUrlRequest"},
             {"type": "ShareUrlDisconnect"},
             {"type": "FileTransferStartUpload", "source_component_uuid": uuid, "transfer_uuid": "t", "filename": "f",
-             "mime_type": "text/plain", "part_count": 1, "size_bytes": 1},
+             "mime_type": "text/plain", "part_count": 10**6, "size_bytes": 10**12},
             {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"update_cb": []}},
             {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": math.nan}},
             {"type": "RunJavascriptMessage", "source": "alert(1)"},
@@ -187,6 +187,20 @@ def test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives(
         assert eventually(lambda: slider.value == 0.7)
     assert shared == []
     assert impl.update_cb is kept
+
+
+def test_a_design_is_uploaded_through_the_bridge(served: Served) -> None:
+    taken: list[bytes] = []
+    button = served.viewer.server.gui.add_upload_button("bring")
+    button.on_upload(lambda event: taken.append(event.target.value.content))
+    where = {"source_component_uuid": button._impl.uuid, "transfer_uuid": "t"}
+    start = {"filename": "d.json", "mime_type": "application/json", "part_count": 2, "size_bytes": 4}
+    with browse(served) as browser:
+        say(browser, CAMERA)
+        say(browser, {"type": "FileTransferStartUpload", **where, **start})
+        for index, content in enumerate((b"ab", b"cd")):
+            say(browser, {"type": "FileTransferPart", **where, "part_index": index, "content": content})
+        assert eventually(lambda: taken == [b"abcd"])
 
 
 def test_a_message_that_is_too_long_ends_its_connection_only(served: Served) -> None:
