@@ -8,6 +8,7 @@ import time
 import zipfile
 from pathlib import Path
 
+import msgspec
 import mujoco
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from yourdfpy import URDF
 
 from morph_core.protocol import Acknowledged, Evaluation, Pause, Progress, Resume, SetAlpha, SetBound, StateChanged
 from morph_core.run_folder import RunFolder
+from morph_core.tasks import make_task
+from studio.export.design_file import Design, Value
 
 pytestmark = pytest.mark.browser
 
@@ -242,3 +245,20 @@ def test_a_hand_plays_with_its_object_and_reads_finger_by_finger(server: Server,
     posture = robot_of(frame)
     wait_for("a moving hand", lambda: robot_of(frame) != posture, 30)
     assert [error for error in errors if "unsafe-eval" not in error] == []
+
+
+def test_an_uploaded_design_is_what_a_run_begins_with(server: Server, page: Page, tmp_path: Path) -> None:
+    frame = open_studio(page, server)
+    parameters = [
+        Value(name=p.name, value=0.2 if p.unit == "m" else 0.1, unit=p.unit, lo=p.lo, hi=p.hi, locked_at=None,
+              hard_lo=p.hard_lo, hard_hi=p.hard_hi, initial=p.initial)
+        for p in make_task("pen_press").design_space.parameters
+    ]  # fmt: skip
+    design = Design(
+        task="pen_press", task_options={}, robot="hand", run="elsewhere", design="best", iteration=7,
+        parameters=parameters,
+    )  # fmt: skip
+    (tmp_path / "design.json").write_bytes(msgspec.json.encode(design))
+    frame.locator("input[type=file]").first.set_input_files(tmp_path / "design.json")
+    expect(frame.get_by_text("begins with the design of iteration 7 of elsewhere")).to_be_attached(timeout=20_000)
+    wait_for("the hand", lambda: "/robot/mesh_0" in nodes_of(frame), 30)
