@@ -32,7 +32,7 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
             "iteration": state.iteration,
             "env_steps": state.env_steps,
             "relabelled_steps": state.relabelled_steps,
-            "truncations": state.truncations,
+            "diverged": state.diverged,
             "control_start": state.control_start,
             "last_reached": state.last_reached,
             "phi": state.phi.tolist(),
@@ -78,7 +78,8 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, config: Confi
         space = DesignSpace(tuple(msgspec.convert(facts["parameters"], list[Parameter])))
         state = start(task, config, 0, space)
         state.iteration, state.env_steps = facts["iteration"], facts["env_steps"]
-        state.relabelled_steps, state.truncations = facts["relabelled_steps"], facts["truncations"]
+        diverged = "diverged" if "diverged" in facts else "truncations"  # as format 1 called it
+        state.relabelled_steps, state.diverged = facts["relabelled_steps"], facts[diverged]
         state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]
         state.phi = space.check(facts["phi"])
         state.alpha, state.projection = facts["alpha"], facts["projection"]

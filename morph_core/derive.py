@@ -11,7 +11,7 @@ with warnings.catch_warnings():
 
 from morph_core.config import Config
 from morph_core.design import DesignSpace
-from morph_core.exploration import clip_drift, design_noise, reach
+from morph_core.exploration import clip_drift, design_noise, nearest_buildable
 from morph_core.rollout import Rollout
 from morph_core.state import Learner
 from morph_core.task import Task
@@ -70,7 +70,7 @@ def derive_design(
         candidates = np.stack([start, _by_gradient(physics, space, dataset, start)])
     else:
         candidates = np.stack([start, _by_cma(physics, space, dataset, start, config, seed)])
-    candidates = np.stack([reach(task, start, candidate) for candidate in candidates])
+    candidates = np.stack([nearest_buildable(task, start, candidate) for candidate in candidates])
     costs = physics.costs(dataset, candidates)
     best = int(np.argmin(costs))
     return Search(candidates[best], float(costs[best]), physics.steps)

@@ -16,7 +16,7 @@ class Score:
     success: float
     episode_return: float
     milestones: dict[str, float]
-    truncations: int
+    diverged: int
 
 
 def evaluate(
@@ -30,7 +30,7 @@ def evaluate(
         name: float(task.solved(reached & rollout.alive).sum() / episodes)
         for name, reached in rollout.milestones.items()
     }
-    return Score(rollout.success_rate, rollout.mean_return, milestones, rollout.truncations), rollout
+    return Score(rollout.success_rate, rollout.mean_return, milestones, rollout.diverged), rollout
 
 
 def record_episode(task: Task, rollout: Rollout, phi: np.ndarray, episode: int = 0) -> dict[str, np.ndarray]:

@@ -49,7 +49,7 @@ def explore_designs(state: State, count: int, sigma: float, correlation: float =
     return state.explored
 
 
-def reach(task: Task, phi: np.ndarray, target: np.ndarray) -> np.ndarray:
+def nearest_buildable(task: Task, phi: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return `target` (d,), or the nearest point halved back towards phi that can be built."""
     for _ in range(HALVINGS):
         if task.buildable(target):

@@ -16,7 +16,7 @@ from morph_core.protocol import (
     StateChanged,
     Status,
 )
-from morph_core.run_folder import ENDED, LOST_AFTER, RunFolder, RunFolderError, still_beating
+from morph_core.run_folder import LOST_AFTER, SAID_ENDED, RunFolder, RunFolderError, still_beating
 
 
 class History:
@@ -63,13 +63,13 @@ class History:
     def status(self) -> Status:
         """What the trainer last said, unless it is gone: then `lost` (no word of an end, no process, no heartbeat)."""
         status: Status = self.state.status if self.state else "starting"
-        if status in ENDED:
+        if status in SAID_ENDED:
             return status
         beat = self.heartbeat
         if beat is None:
             return status if time.time() - self.record.created < LOST_AFTER else "lost"
         if not still_beating(beat):
-            return beat.status if beat.status in ENDED else "lost"
+            return beat.status if beat.status in SAID_ENDED else "lost"
         return beat.status if beat.status != "starting" else status
 
     @property
@@ -77,7 +77,7 @@ class History:
         """Why the run is in this state, in words."""
         if self.status == "lost":
             return "the trainer died without a word (killed, or the machine went down); resume goes on from checkpoint"
-        if self.heartbeat and self.heartbeat.message and self.status not in ENDED:
+        if self.heartbeat and self.heartbeat.message and self.status not in SAID_ENDED:
             return self.heartbeat.message
         return self.state.message if self.state else ""
 

@@ -3,6 +3,7 @@
 Event = kept, in order. Snapshot = may be replaced by a newer one. Command = from a user to the trainer.
 """
 
+import re
 from typing import Literal
 
 import msgspec
@@ -46,7 +47,7 @@ class Resume(Command, tag="resume", frozen=True):
     """Go on after a pause."""
 
 
-class Step(Command, tag="step", frozen=True):
+class StepIteration(Command, tag="step", frozen=True):
     """Run one iteration, then hold."""
 
 
@@ -98,7 +99,17 @@ class InjectDesign(Command, tag="inject_design", frozen=True):
 
 
 AnyCommand = (
-    Pause | Resume | Step | Stop | Checkpoint | SetAlpha | SetProjection | SetBound | Lock | Unlock | InjectDesign
+    Pause
+    | Resume
+    | StepIteration
+    | Stop
+    | Checkpoint
+    | SetAlpha
+    | SetProjection
+    | SetBound
+    | Lock
+    | Unlock
+    | InjectDesign
 )
 
 
@@ -154,14 +165,14 @@ class Progress(Event, tag="progress", frozen=True):
     projection: Projection | None = None
     relabelled_steps: int = 0
     """Steps of Hw-Phy outside of trajectories so far: relabelling, and the search for phi."""
-    truncations: int = 0
+    diverged: int = 0
     """Episodes so far that were left out because their simulation diverged."""
     cpu_seconds: float = 0.0
     """CPU time of the trainer since its first iteration, all resumes summed."""
 
 
 class Evaluation(Event, tag="evaluation", frozen=True):
-    """The policy on Hw-Phy with the present phi. `rollout` names the recorded episode, relative to the run."""
+    """The policy on Hw-Phy with the present phi. `episode` names the recorded episode, relative to the run."""
 
     iteration: int
     env_steps: int
@@ -172,9 +183,9 @@ class Evaluation(Event, tag="evaluation", frozen=True):
     deterministic_return: float
     milestones: dict[str, float] = {}
     """Share of the sampled episodes that reached what comes before the goal, by the rule of success."""
-    truncations: int = 0
+    diverged: int = 0
     """Sampled episodes whose simulation diverged: they count as failures."""
-    rollout: str | None = None
+    episode: str | None = None
     cpu_seconds: float = 0.0
 
 
@@ -248,6 +259,9 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 _encoder = msgspec.json.Encoder()
+_FORMAT_1 = {"truncations": "diverged", "rollout": "episode"}
+"""Fields of events as format 1 of a run called them -> as they are called now."""
+_WRITTEN_BY_FORMAT_1 = re.compile(rb'"(%s)":' % b"|".join(name.encode() for name in _FORMAT_1))
 _events = msgspec.json.Decoder(AnyEvent)
 _orders = msgspec.json.Decoder(Order)
 _commands = msgspec.json.Decoder(AnyCommand)
@@ -261,8 +275,12 @@ def encode(message: msgspec.Struct) -> bytes:
 
 
 def decode_event(line: bytes | str) -> AnyEvent:
-    """Raise msgspec.DecodeError (ValidationError) on anything that is not an event."""
-    return _events.decode(line)
+    """Return an event, of a run of format 1 too; msgspec.DecodeError (ValidationError) on anything else."""
+    written = line.encode() if isinstance(line, str) else line
+    if not _WRITTEN_BY_FORMAT_1.search(written):
+        return _events.decode(written)
+    fields = msgspec.json.decode(written, type=dict[str, object])
+    return msgspec.convert({_FORMAT_1.get(name, name): value for name, value in fields.items()}, AnyEvent)
 
 
 def decode_order(text: bytes | str) -> Order:

@@ -15,7 +15,7 @@ Act = Callable[[np.ndarray], np.ndarray]
 class Rollout:
     """All trajectories of an iteration: T steps of N episodes. Steps after an episode's end are not `alive`.
 
-    Episodes that were truncated because their simulation diverged are left out, all of them: N counts the others.
+    Episodes whose simulation diverged are left out, all of them: N counts the others.
     """
 
     s: np.ndarray  # (T, N, state_size)
@@ -41,7 +41,7 @@ class Rollout:
         return len(self.kept)
 
     @property
-    def truncations(self) -> int:
+    def diverged(self) -> int:
         """How many were left out."""
         return int((~self.kept).sum())
 
@@ -76,8 +76,8 @@ def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray) -> Rollout:
         action = act(observation)
         transition = task.step(hardware, s, action)
         steps.append((s, observation, action, transition, alive))
-        kept = kept & ~(transition.truncated & alive)
-        s, alive = transition.s, alive & ~transition.terminated & ~transition.truncated
+        kept = kept & ~(transition.diverged & alive)
+        s, alive = transition.s, alive & ~transition.terminated & ~transition.diverged
         if not alive.any():
             break
     states, observations, actions, transitions, lives = zip(*steps, strict=True)

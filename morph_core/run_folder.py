@@ -23,7 +23,8 @@ HEARTBEAT_BYTES = 4096
 """The heartbeat is rewritten in place at this size, so that it needs no new block on a full disk."""
 LOST_AFTER = 10.0
 """Seconds without a heartbeat after which a run on another host counts as lost."""
-ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
+SAID_ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
+"""What a trainer says last."""
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -46,8 +47,10 @@ class RunFolder:
         return self.path / "events.jsonl"
 
     @property
-    def rollouts(self) -> Path:
-        return self.path / "rollouts"
+    def episodes(self) -> Path:
+        """Return the folder of recorded episodes, which format 1 called `rollouts`."""
+        old = self.path / "rollouts"
+        return old if old.is_dir() and not (self.path / "episodes").is_dir() else self.path / "episodes"
 
     @property
     def checkpoints(self) -> Path:
@@ -100,7 +103,7 @@ class RunFolder:
     def trainer_alive(self) -> bool:
         """Tell whether a trainer holds this folder: its process is there, or its heartbeat still moves."""
         beat = self.heartbeat()
-        return beat is not None and beat.status not in ENDED and still_beating(beat)
+        return beat is not None and beat.status not in SAID_ENDED and still_beating(beat)
 
     def checkpoint_iterations(self) -> list[int]:
         """Return the iterations of whole checkpoints, ascending; half-written ones have another name."""
@@ -111,8 +114,8 @@ class RunFolder:
     def checkpoint(self, iteration: int) -> Path:
         return self.checkpoints / f"{iteration:06d}"
 
-    def rollout(self, iteration: int) -> Path:
-        return self.rollouts / f"{iteration:06d}.npz"
+    def episode(self, iteration: int) -> Path:
+        return self.episodes / f"{iteration:06d}.npz"
 
     # --- the inbox ---
 
@@ -183,7 +186,7 @@ def create_run(runs: Path, record: RunRecord) -> RunFolder:
         raise RunFolderError(f"{record.id!r} is no run name: letters, digits, dot, dash and underscore, at most 128")
     runs.mkdir(parents=True, exist_ok=True)
     draft = runs / f".{record.id}.{os.getpid()}"
-    for folder in ("rollouts", "checkpoints", "commands", "exports"):
+    for folder in ("episodes", "checkpoints", "commands", "exports"):
         (draft / folder).mkdir(parents=True)
     write_durably(draft / "run.json", msgspec.json.format(protocol.encode(record), indent=2))
     write_durably(draft / "events.jsonl", b"")
@@ -285,21 +288,21 @@ class HeartbeatFile:
         os.close(self._fd)
 
 
-def write_rollout(folder: RunFolder, iteration: int, arrays: dict[str, np.ndarray]) -> str:
+def write_episode(folder: RunFolder, iteration: int, arrays: dict[str, np.ndarray]) -> str:
     """Write one recorded episode; return its name relative to the run folder."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
-    folder.rollouts.mkdir(exist_ok=True)
-    write_durably(folder.rollout(iteration), buffer.getvalue())
-    return f"rollouts/{iteration:06d}.npz"
+    folder.episodes.mkdir(exist_ok=True)
+    write_durably(folder.episode(iteration), buffer.getvalue())
+    return f"{folder.episodes.name}/{iteration:06d}.npz"
 
 
-def read_rollout(folder: RunFolder, iteration: int) -> dict[str, np.ndarray]:
-    """Raise RunFolderError if there is no such rollout or it is damaged."""
+def read_episode(folder: RunFolder, iteration: int) -> dict[str, np.ndarray]:
+    """Raise RunFolderError if there is no such episode or it is damaged."""
     try:
-        with np.load(folder.rollout(iteration), allow_pickle=False) as file:
+        with np.load(folder.episode(iteration), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except FileNotFoundError:
-        raise RunFolderError(f"{folder.id} has no rollout of iteration {iteration}") from None
+        raise RunFolderError(f"{folder.id} has no episode of iteration {iteration}") from None
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise RunFolderError(f"rollout {iteration} of {folder.id} can't be read: {error}") from error
+        raise RunFolderError(f"episode {iteration} of {folder.id} can't be read: {error}") from error

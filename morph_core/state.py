@@ -71,7 +71,7 @@ class State:
     """Whether phi stays, and with it every explored design."""
     relabelled_steps: int = 0
     """Steps of Hw-Phy outside of trajectories: relabelling, and the search for phi."""
-    truncations: int = 0
+    diverged: int = 0
     """Episodes left out because their simulation diverged."""
     control_start: int = 0
     """The iteration after which policy and critic last started afresh."""
@@ -82,7 +82,7 @@ class State:
         """Note that an iteration is over, and what its trajectories took."""
         self.iteration = iteration
         self.env_steps += rollout.steps
-        self.truncations += rollout.truncations
+        self.diverged += rollout.diverged
         self.frozen = self.frozen or 0 < config.freeze_success <= rollout.success_rate
 
     def skip(self, iteration: int, rollout: Rollout, config: Config) -> Progress:

@@ -42,7 +42,7 @@ class Transition:
     """name -> (N,), already weighted."""
     terminated: np.ndarray
     """(N,) bool: the episode is over, as the task has it."""
-    truncated: np.ndarray
+    diverged: np.ndarray
     """(N,) bool: the physics failed, or the design can't be simulated; z is NaN if there is none."""
     success: np.ndarray
     """(N,) bool: the goal was reached in this step."""
@@ -73,7 +73,7 @@ class Task(Protocol):
 
     @property
     def horizon(self) -> int:
-        """T: control steps after which an episode is truncated."""
+        """T: control steps after which an episode ends."""
         ...
 
     @property

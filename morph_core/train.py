@@ -41,7 +41,7 @@ from morph_core.protocol import (
     StateChanged,
     Status,
 )
-from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, RunFolderError, hold, write_rollout
+from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, RunFolderError, hold, write_episode
 from morph_core.state import State, start
 from morph_core.task import Task, check_settings
 from morph_core.tasks import make_task
@@ -57,6 +57,8 @@ POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
 SHOWN_DESIGNS = 12
 """Of the explored designs, this many are kept with each evaluation."""
+_CHANGES_NOTHING = protocol.Pause | protocol.Resume | protocol.StepIteration | protocol.Stop
+"""Commands after which no checkpoint is needed: they change nothing that one holds."""
 
 
 class Trainer:
@@ -150,7 +152,7 @@ class Trainer:
             raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
         self._iteration, self._env_steps = state.iteration, state.env_steps
         progress = msgspec.structs.replace(
-            progress, relabelled_steps=state.relabelled_steps, truncations=state.truncations,
+            progress, relabelled_steps=state.relabelled_steps, diverged=state.diverged,
             cpu_seconds=time.process_time() - cpu_start,
         )  # fmt: skip
         self._write(progress)
@@ -170,14 +172,14 @@ class Trainer:
         arrays = record_episode(task, rollout, state.phi)
         if state.explored is not None:
             arrays["population"] = state.explored[:SHOWN_DESIGNS]
-        name = self._persist(lambda: write_rollout(self._folder, state.iteration, arrays))
+        name = self._persist(lambda: write_episode(self._folder, state.iteration, arrays))
         self._write(
             Evaluation(
                 iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
                 sampled_success=sampled.success, sampled_return=sampled.episode_return,
                 deterministic_success=mean.success, deterministic_return=mean.episode_return,
-                milestones=sampled.milestones, truncations=sampled.truncations,
-                rollout=name, cpu_seconds=time.process_time() - cpu_start,
+                milestones=sampled.milestones, diverged=sampled.diverged,
+                episode=name, cpu_seconds=time.process_time() - cpu_start,
             )
         )  # fmt: skip
 
@@ -213,7 +215,9 @@ class Trainer:
         except ValueError as error:
             before, accepted, message = state.design_space, False, str(error)
         # The checkpoint comes before the word: what was acknowledged survives any crash.
-        if accepted and not isinstance(order.command, protocol.Pause | protocol.Resume | protocol.Step | protocol.Stop):
+        if accepted and not isinstance(
+            order.command, protocol.Pause | protocol.Resume | protocol.StepIteration | protocol.Stop
+        ):
             self._checkpoint(state, cpu_start)
         if state.design_space != before:
             parameters = list(state.design_space.parameters)
@@ -234,7 +238,7 @@ class Trainer:
             case protocol.Resume():
                 self._paused = False
                 return "resumed"
-            case protocol.Step():
+            case protocol.StepIteration():
                 self._paused = self._step = True
                 return "one iteration"
             case protocol.Stop():

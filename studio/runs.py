@@ -22,7 +22,7 @@ from morph_core.protocol import (
     Status,
 )
 from morph_core.run_folder import (
-    ENDED,
+    SAID_ENDED,
     RunFolder,
     RunFolderError,
     find_run,
@@ -228,14 +228,14 @@ class Runs:
             del self._children[run_id]
             history.poll()  # its last words
             state, beat = history.state, history.heartbeat
-            spoken = state is not None and state.time >= child.spawned and state.status in ENDED
+            spoken = state is not None and state.time >= child.spawned and state.status in SAID_ENDED
             # Refused because another trainer holds the folder: then it is not this one's death that counts.
             other = beat is not None and beat.pid != child.process.pid and still_beating(beat)
             if not spoken and not other:
                 self._verdicts[run_id] = _Verdict(time.time(), _cause(code, history.folder, child.log_start))
             return
         beat = history.heartbeat
-        if beat is None or beat.host != platform.node() or history.status in ENDED:
+        if beat is None or beat.host != platform.node() or history.status in SAID_ENDED:
             return
         process = (beat.pid, beat.process_started)
         if process_alive(*process):  # adopted, or started by someone else
@@ -274,7 +274,7 @@ class Runs:
     def _summarise(self, history: History) -> Summary:
         status, reason = self.status(history)
         record, beat = history.record, history.heartbeat
-        at_work = beat if beat and status not in (*ENDED, "lost", "starting") else None
+        at_work = beat if beat and status not in (*SAID_ENDED, "lost", "starting") else None
         return Summary(
             id=history.folder.id,
             status=status,
@@ -304,7 +304,7 @@ class Runs:
             return known[1]
         events, _ = folder.read_events(max(0, size - _EVENTS_TAIL))
         states = [event for event in events if isinstance(event, StateChanged)]
-        if not states or states[-1].status not in ENDED:
+        if not states or states[-1].status not in SAID_ENDED:
             return None
         record, beat = folder.record(), folder.heartbeat()
         try:

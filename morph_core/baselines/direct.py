@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator
 
 from morph_core.config import Config
-from morph_core.exploration import design_sigma, episode_advantage, explore_designs, reach, run_trajectories
+from morph_core.exploration import design_sigma, episode_advantage, explore_designs, nearest_buildable, run_trajectories
 from morph_core.objective import improve_control, make_batch, restart_control, set_learning_rates
 from morph_core.protocol import Progress
 from morph_core.state import State
@@ -28,7 +28,7 @@ def direct(task: Task, config: Config, state: State) -> Iterator[Progress]:
         advantage = episode_advantage(rollout.returns, config)
         # E[A (phi_i - phi)], the natural gradient
         step = (advantage[:, None] * (designs[rollout.kept] - state.phi)).mean(0)
-        state.phi = reach(task, state.phi, state.design_space.clip(state.phi + config.direct_step * step))
+        state.phi = nearest_buildable(task, state.phi, state.design_space.clip(state.phi + config.direct_step * step))
         state.advance(iteration, rollout, config)
         yield Progress(
             iteration=iteration,

@@ -257,7 +257,7 @@ class GraspTask(ABC):
             reward=sum(terms.values(), np.zeros(len(s))),
             reward_terms=terms,
             terminated=np.zeros(len(s), dtype=bool),
-            truncated=outcome.diverged | ~physics.buildable,
+            diverged=outcome.diverged | ~physics.buildable,
             success=goal,
             milestones={"lifted": lifted, "pressed": pressed},
             contact=_contact_points(outcome.sensors),

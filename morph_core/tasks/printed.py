@@ -148,7 +148,7 @@ def link_inertial(kind: LinkKind, length: float) -> Inertial:
 def palm_inertial(angles: np.ndarray, servo: Servo = "none") -> Inertial:
     """Return the palm with mounts at `angles` (n,) rad; its origin is on its axis, level with the fingers' joints.
 
-    Mounts or pockets that overlap count twice: such a hand can't be assembled, and its episodes are truncated.
+    Mounts or pockets that overlap count twice: such a hand can't be assembled, and its episodes count as diverged.
     """
     total, each = PLATE, MOUNT if servo == "none" else MOUNT - POCKET
     for cos, sin in zip(np.cos(angles), np.sin(angles), strict=True):

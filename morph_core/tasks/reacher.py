@@ -287,7 +287,7 @@ class Reacher:
             reward=sum(terms.values(), np.zeros(len(s))),
             reward_terms=terms,
             terminated=touch,
-            truncated=np.zeros_like(touch),
+            diverged=np.zeros_like(touch),
             success=touch,
             milestones={},
             contact=contact[:, None],

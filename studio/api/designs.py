@@ -28,7 +28,7 @@ from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design, starting_from
 from studio.runs import Runs
 
-MAX_ROLLOUT = 256 << 20
+MAX_EPISODE = 256 << 20
 Formats = Annotated[list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step; repeated or with commas")]
 _FILE = {"schema": {"type": "string", "format": "binary"}}
 _DESIGN_BODY = {
@@ -49,17 +49,17 @@ def designs_of(history: History) -> Designs:
     return Designs([p.name for p in parameters], [p.unit for p in parameters], best, latest, path)
 
 
-def rollout_of(history: History, iteration: str) -> bytes:
+def episode_of(history: History, iteration: str) -> bytes:
     """Return the npz file of one recorded episode; raise RunFolderError that lists what is there."""
     folder = history.folder
-    recorded = {int(p.stem): p for p in folder.rollouts.glob("[0-9]*.npz") if p.stem.isdecimal()}
+    recorded = {int(p.stem): p for p in folder.episodes.glob("[0-9]*.npz") if p.stem.isdecimal()}
     path = recorded.get(int(iteration)) if iteration.isdecimal() and len(iteration) <= 12 else None
     if path is None:
         choices = ", ".join(str(i) for i in sorted(recorded)) or "none yet"
-        raise RunFolderError(f"{folder.id} has no rollout of iteration {iteration[:40]}; choose from: {choices}")
+        raise RunFolderError(f"{folder.id} has no episode of iteration {iteration[:40]}; choose from: {choices}")
     # A folder from elsewhere may hold links to other files of this machine.
-    if path.is_symlink() or folder.rollouts.is_symlink() or not path.is_file() or path.stat().st_size > MAX_ROLLOUT:
-        raise RunFolderError(f"rollout {iteration} of {folder.id} is no plain file of a sensible size")
+    if path.is_symlink() or folder.episodes.is_symlink() or not path.is_file() or path.stat().st_size > MAX_EPISODE:
+        raise RunFolderError(f"episode {iteration} of {folder.id} is no plain file of a sensible size")
     return path.read_bytes()
 
 
@@ -84,11 +84,16 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
     @router.get(
         "/rollouts/{iteration}",
         response_class=Response,
+        include_in_schema=False,  # what format 1 called an episode
+    )
+    @router.get(
+        "/episodes/{iteration}",
+        response_class=Response,
         responses=gives_file("application/octet-stream", "A numpy npz file"),
         summary="One recorded episode on Hw-Phy",
     )
-    def rollout(run_id: str, iteration: str) -> Response:
-        content = rollout_of(runs.get(run_id), iteration)
+    def episode(run_id: str, iteration: str) -> Response:
+        content = episode_of(runs.get(run_id), iteration)
         return _download(f"{run_id}-{int(iteration):06d}.npz", content, "application/octet-stream")
 
     @router.get(

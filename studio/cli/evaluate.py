@@ -91,10 +91,10 @@ def _print_result(result: dict) -> None:
     for policy in ("sampled", "deterministic"):
         score = result[policy]
         shares = [f"{share:.3f}" for share in (score["success"], *score["milestones"].values())]
-        lost = [str(score["truncations"])] * len(diverged)
+        lost = [str(score["diverged"])] * len(diverged)
         table.add_row(policy, *shares, f"{score['episode_return']:.3f}", *lost)
     console.print(table)
 
 
 def _any_diverged(result: dict) -> bool:
-    return any(result[policy]["truncations"] for policy in ("sampled", "deterministic"))
+    return any(result[policy]["diverged"] for policy in ("sampled", "deterministic"))

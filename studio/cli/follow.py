@@ -208,7 +208,7 @@ def _in_short(history: History) -> str:
         success, gain, milestones = score.sampled_success, score.sampled_return, score.milestones
     words = [f"success {success:.2f}", *(f"{name} {share:.2f}" for name, share in milestones.items())]
     words += [f"return {gain:.2f}", f"phi {' '.join(f'{value:.2f}' for value in history.phi)}"]
-    return "  ".join(words + [f"diverged {last.truncations}"] * (last.truncations > 0))
+    return "  ".join(words + [f"diverged {last.diverged}"] * (last.diverged > 0))
 
 
 def _eta(history: History) -> str:

@@ -11,7 +11,7 @@ from morph_core.protocol import AnyCommand, Lock, Parameter, SetBound, Status, U
 from studio.viewer import wording
 from studio.viewer.change import change_table
 from studio.viewer.parts import unit_of
-from studio.viewer.run import ENDED, Send
+from studio.viewer.run import NOT_LIVE, Send
 
 _MOST_OPEN = 5
 """Rows that are shown in full at first; more are folded, each with its value in its heading."""
@@ -58,7 +58,7 @@ class DesignPanel:
         self.holder.visible = self.change.visible = True
         self.change.content = wording.paragraph("<b>Present design φ, against the initial one</b>")
         self.change.content += change_table(history, phi)
-        live = status not in ENDED
+        live = status not in NOT_LIVE
         self.note.content = wording.paragraph(
             wording.dim(
                 "Edits are sent together by Apply and hold from the next iteration on."

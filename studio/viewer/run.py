@@ -12,16 +12,16 @@ from morph_core.protocol import (
     Progress,
     Resume,
     Status,
-    Step,
+    StepIteration,
     Stop,
 )
 from studio.viewer import wording
 from studio.viewer.rules import rules_of
 
-ENDED: tuple[Status, ...] = ("stopped", "finished", "failed", "lost", "unreadable")
+NOT_LIVE: tuple[Status, ...] = ("stopped", "finished", "failed", "lost", "unreadable")
 RESUMABLE: tuple[Status, ...] = ("stopped", "failed", "lost")
 _LOG_LINES = 8
-_MORE: dict[str, AnyCommand] = {"Step": Step(), "Checkpoint": Checkpoint(), "Stop": Stop()}
+_MORE: dict[str, AnyCommand] = {"Step": StepIteration(), "Checkpoint": Checkpoint(), "Stop": Stop()}
 
 Send = Callable[[Callable[[], Sequence[AnyCommand]], viser.ClientHandle | None], None]
 """Takes what works the commands out, so that a value it refuses is told like any other refusal."""
@@ -111,7 +111,7 @@ class RunPanel:
 
     def _state(self, history: History, status: Status, message: str, iterations: int) -> str:
         beat = history.heartbeat
-        live = status not in ENDED
+        live = status not in NOT_LIVE
         stage = beat.stage if beat and live and beat.stage != status else ""
         iteration = history.iteration
         eta = (
@@ -137,8 +137,8 @@ class RunPanel:
         )
 
     def _enable(self, status: Status) -> None:
-        live = status not in ENDED
-        self.pause.visible = status not in ("paused", *ENDED)
+        live = status not in NOT_LIVE
+        self.pause.visible = status not in ("paused", *NOT_LIVE)
         self.pause.disabled = status == "pausing"
         self.resume.visible = status in ("paused", "pausing", *RESUMABLE)
         self.more.visible = live
@@ -149,7 +149,7 @@ def _of_hw_phy(history: History) -> list[tuple[str, str]]:
     if not history.evaluations:
         return []
     last = history.evaluations[-1]
-    failed = [("diverged in this evaluation", f"{last.truncations} episodes")] if last.truncations else []
+    failed = [("diverged in this evaluation", f"{last.diverged} episodes")] if last.diverged else []
     return [
         (f"success on Hw-Phy (iteration {last.iteration}), sampled", wording.percent(last.sampled_success)),
         ("deterministic", wording.percent(last.deterministic_success)),
@@ -163,15 +163,15 @@ def _costs(progress: Progress) -> list[tuple[str, str]]:
     costs = []
     if progress.relabelled_steps:
         costs.append(("steps for relabelling and search", wording.count(progress.relabelled_steps)))
-    if progress.truncations:
-        costs.append(("episodes left out: diverged", wording.count(progress.truncations)))
+    if progress.diverged:
+        costs.append(("episodes left out: diverged", wording.count(progress.diverged)))
     return costs
 
 
 def log_of(history: History, status: Status, pending: Sequence[AnyCommand]) -> str:
     """Return what became of the latest commands, newest first, as HTML; `pending` ones have no answer yet."""
     space = history.design_space
-    waiting = "no answer before the run ended" if status in ENDED else "asked…"
+    waiting = "no answer before the run ended" if status in NOT_LIVE else "asked…"
     lines = [wording.dim(f"{wording.text(wording.describe(c, space))}: {waiting}") for c in reversed(pending)]
     for event in reversed(history.acknowledged[-_LOG_LINES:]):
         colour = "inherit" if event.accepted else wording.RED

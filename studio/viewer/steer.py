@@ -7,7 +7,7 @@ import viser
 from morph_core.config import Projection, check_field
 from morph_core.history import History
 from morph_core.protocol import Acknowledged, AnyCommand, SetAlpha, SetProjection, Status
-from studio.viewer.run import ENDED, Send
+from studio.viewer.run import NOT_LIVE, Send
 
 
 class SteerPanel:
@@ -29,7 +29,7 @@ class SteerPanel:
 
     def update(self, history: History, status: Status) -> None:
         """Take over what is in force, once it changes: what somebody is editing stays as it is."""
-        self.form.visible = status not in ENDED
+        self.form.visible = status not in NOT_LIVE
         in_force = _in_force(history)
         if in_force != self._in_force:
             self._in_force = in_force

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from morph_core.run_folder import RunFolder, read_rollout
+from morph_core.run_folder import RunFolder, read_episode
 from morph_core.task import Task
 from morph_core.tasks import make_task
 from studio.export.errors import ExportError
@@ -41,7 +41,7 @@ class Shot:
     task_options: tuple[tuple[str, object], ...]
     phi: tuple[float, ...]
     """The design in front."""
-    rollout: tuple[RunFolder, int] | None = None
+    episode: tuple[RunFolder, int] | None = None
     """The episode it plays; without one it stands in the start posture."""
     ghost: tuple[float, ...] | None = None
     """The design that stands pale behind it."""
@@ -120,10 +120,10 @@ class _Episode:
 def make_take(shot: Shot) -> Take:
     """Build the designs, read the episode, place every part. Raise ValueError if task or episode is no good."""
     task = make_task(shot.task, dict(shot.task_options))
-    recorded = read_rollout(*shot.rollout) if shot.rollout else {}
+    recorded = read_episode(*shot.episode) if shot.episode else {}
     phi = np.asarray(recorded.get("phi", shot.phi), float)
     model, alone = _models(task, phi, shot.printed)
-    if shot.rollout:
+    if shot.episode:
         episode = _episode(recorded, model.nq, len(phi))
     else:
         nothing = np.zeros((0, len(phi)))

@@ -92,7 +92,7 @@ class TimelinePanel:
             self.follow.value = True
             self.printed.value = shows_parts(history.record.parameters)
         self._latest = history.iteration
-        self._recorded = [e.iteration for e in history.evaluations if e.rollout]
+        self._recorded = [e.iteration for e in history.evaluations if e.episode]
         self.iteration.max = max(self._latest, 1)
         for handle in self._choices:
             handle.visible = True

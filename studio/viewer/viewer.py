@@ -17,7 +17,7 @@ from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
 from studio.viewer.legend import legend_of
 from studio.viewer.player import Player
-from studio.viewer.run import ENDED, RunPanel
+from studio.viewer.run import NOT_LIVE, RunPanel
 from studio.viewer.scene import light_up
 from studio.viewer.start import StartPanel, StartRequest
 from studio.viewer.steer import SteerPanel
@@ -219,7 +219,7 @@ class Viewer:
                 self._show_nothing(run_id)
                 return
             status, message = self._statuses.get(run_id, (history.status, history.message))
-            live = status not in ENDED
+            live = status not in NOT_LIVE
             pending = [command for command, _ in self._pending.get(run_id, [])]
             self.run.show_visible(True)
             self.run.update(history, status, message, pending)
@@ -274,7 +274,7 @@ class Viewer:
             task=history.record.task,
             task_options=tuple(sorted(history.record.task_options.items())),
             phi=tuple(phi.tolist()),
-            rollout=(history.folder, shown) if self.timeline.has_episode else None,
+            episode=(history.folder, shown) if self.timeline.has_episode else None,
             ghost=initial if self.timeline.ghost.value and (shown > 0 or self.timeline.has_episode) else None,
             trail=tuple(self.timeline.earlier(history)),
             printed=self.timeline.printed.value,

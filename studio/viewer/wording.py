@@ -16,7 +16,7 @@ from morph_core.protocol import (
     SetBound,
     SetProjection,
     Status,
-    Step,
+    StepIteration,
     Stop,
     Unlock,
 )
@@ -141,7 +141,7 @@ def describe(command: AnyCommand, space: DesignSpace) -> str:
             return "paused"
         case Resume():
             return "resumed"
-        case Step():
+        case StepIteration():
             return "one step"
         case Stop():
             return "stopped"

@@ -58,7 +58,7 @@ def play(task: GraspTask, phi: np.ndarray, schedules: np.ndarray, rng: np.random
         i, share = divmod(t / task.horizon * waypoints, 1)
         before, after = knots[:, int(i)], knots[:, min(int(i) + 1, waypoints)]
         transitions.append(task.step(hw_phy, s, (before + share * (after - before) - s[:, :k]) / largest))
-        s, diverged = transitions[-1].s, diverged | transitions[-1].truncated
+        s, diverged = transitions[-1].s, diverged | transitions[-1].diverged
     returns = np.where(diverged, 0.0, sum(t.reward for t in transitions))
     lifted, held = np.array([(t.milestones["lifted"], t.success) for t in transitions]).transpose(1, 0, 2)
     return Outcome(returns, task.solved(lifted) & ~diverged, task.solved(held) & ~diverged)

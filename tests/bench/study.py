@@ -72,7 +72,7 @@ class Row:
     """(environment steps, CPU seconds, sampled, deterministic success) of every evaluation."""
     milestones: dict[str, float] = field(default_factory=dict)
     """Share of the final episodes that reached what comes before the goal."""
-    truncations: int = 0
+    diverged: int = 0
     """Episodes whose simulation diverged, in the whole run."""
     restarts: int = 0
     """How often policy and critic started afresh."""
@@ -121,7 +121,7 @@ def run_one(study: Study, settings: dict[str, Any], options: dict[str, Any], see
         if taken >= study.env_steps:
             break
     row.explored = max(p.success for p in history)
-    row.env_steps, row.cpu_seconds, row.truncations = taken, time.process_time() - began, state.truncations
+    row.env_steps, row.cpu_seconds, row.diverged = taken, time.process_time() - began, state.diverged
     rng = np.random.default_rng([seed, 10**6])
     last, _ = evaluate(task, state.learner.policy, state.phi, FINAL_EPISODES, rng, sampled=True)
     row.sampled, row.episode_return, row.phi = last.success, last.episode_return, state.phi.tolist()
@@ -176,7 +176,7 @@ def _line(row: Row, study: Study) -> str:
         f"sampled {study.level:g} {when(row.sampled_solved)}, det {study.deterministic_level:g} "
         f"{when(row.deterministic_solved)} | end sampled {row.sampled:.2f} det {row.deterministic:.2f} "
         f"return {row.episode_return:.2f} {milestones}explored <= {row.explored:.3f} restarts {row.restarts} "
-        f"truncated {row.truncations}{extra} | "
+        f"diverged {row.diverged}{extra} | "
         f"phi {np.round(row.phi, 2).tolist()}"
     )
 

@@ -34,7 +34,7 @@ class Fragile(Reacher):
         step = super().step(hardware, s, action)
         broken = self.broken(step.s)
         z = np.where(broken[:, None], np.nan, step.z)
-        return dataclasses.replace(step, z=z, truncated=broken, terminated=step.terminated & ~broken)
+        return dataclasses.replace(step, z=z, diverged=broken, terminated=step.terminated & ~broken)
 
 
 @pytest.fixture

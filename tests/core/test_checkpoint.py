@@ -44,10 +44,10 @@ def test_a_run_with_a_reference_goes_on_bit_for_bit(tmp_path: Path, iterations: 
     folder, state = make_run(tmp_path, config=config), start(TASK, config, 0)
     for _ in itertools.islice(METHODS["morph"](TASK, config, state), iterations):
         pass
-    state.truncations = 7
+    state.diverged = 7
     save_checkpoint(folder, state, 1.5)
     loaded, _ = load_checkpoint(folder, iterations, TASK, config)
-    assert (loaded.relabelled_steps, loaded.truncations) == (state.relabelled_steps, 7)
+    assert (loaded.relabelled_steps, loaded.diverged) == (state.relabelled_steps, 7)
     again, expected = (list(itertools.islice(METHODS["morph"](TASK, config, s), 3)) for s in (loaded, state))
     assert again == expected
     for name, module in state.learner.modules.items():

@@ -19,7 +19,7 @@ from morph_core.exploration import (
     episode_advantage,
     explore_designs,
     linearised_pull,
-    reach,
+    nearest_buildable,
     relabel_on_hardware,
     run_trajectories,
 )
@@ -187,7 +187,7 @@ def test_a_step_to_what_cannot_be_built_is_halved_back() -> None:
     task = make_task("pen_press")
     phi = task.design_space.initial
     onto_its_neighbour = phi + np.r_[np.pi / 2, np.zeros(len(phi) - 1)]
-    reached = reach(task, phi, onto_its_neighbour)
+    reached = nearest_buildable(task, phi, onto_its_neighbour)
     assert task.buildable(reached)
     assert reached[0] == pytest.approx(np.pi / 4)
-    assert reach(task, phi, phi + 0.01).tolist() == (phi + 0.01).tolist()
+    assert nearest_buildable(task, phi, phi + 0.01).tolist() == (phi + 0.01).tolist()

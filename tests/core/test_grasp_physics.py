@@ -79,7 +79,7 @@ def test_a_scripted_grasp_lifts_the_pen_and_presses_its_button() -> None:
         assert task.solved(np.array(reached)).all()
     assert min(task.clearance(t.s).min() for t in taken[-10:]) > 0.05
     assert all((t.s[:, NQ - 1] < -task.travel / 2).all() for t in taken[-10:])  # the button
-    assert not any(t.truncated.any() for t in taken)
+    assert not any(t.diverged.any() for t in taken)
 
 
 def test_the_pen_lies_still_until_it_is_touched() -> None:
@@ -173,7 +173,7 @@ BREAKS = {
 
 
 @pytest.mark.parametrize("column_and_value", BREAKS.values(), ids=BREAKS.keys())
-def test_a_simulation_that_explodes_is_truncated_and_touches_no_other(
+def test_a_simulation_that_explodes_is_diverged_and_touches_no_other(
     column_and_value: tuple[int, float],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -188,7 +188,7 @@ def test_a_simulation_that_explodes_is_truncated_and_touches_no_other(
     bad[2, column] = value
     step = TASK.step(physics, bad, np.zeros((N, JOINTS)))
     others = np.arange(N) != 2
-    assert np.array_equal(step.truncated, ~others)
+    assert np.array_equal(step.diverged, ~others)
     assert np.isnan(step.z[2]).all()
     assert np.array_equal(step.s[2], bad[2], equal_nan=True)
     assert not step.success[2]
@@ -218,7 +218,7 @@ def test_an_action_that_is_not_a_number_truncates_its_episode() -> None:
     s = TASK.reset(physics, N, np.random.default_rng(0))
     action = np.zeros((N, JOINTS))
     action[3, 4] = np.nan
-    assert np.array_equal(TASK.step(physics, s, action).truncated, np.arange(N) == 3)
+    assert np.array_equal(TASK.step(physics, s, action).diverged, np.arange(N) == 3)
 
 
 def test_fingers_mounted_in_each_other_end_the_episode_in_its_first_step() -> None:
@@ -246,7 +246,7 @@ def test_an_evaluation_counts_an_explosion_as_a_failure(small: Config) -> None:
     task = Explosive()
     policy = start(task, small, 0).learner.policy
     score, rollout = evaluate(task, policy, task.design_space.initial, 8, np.random.default_rng(0), sampled=True)
-    assert (score.truncations, rollout.alive.shape[1]) == (1, 7)
+    assert (score.diverged, rollout.alive.shape[1]) == (1, 7)
     assert np.isfinite(score.episode_return)
 
 
@@ -274,7 +274,7 @@ def test_no_run_dies_of_designs_that_can_not_be_simulated(small: Config, search:
     config = make_config(small, search=search, design_sigma=5.0, design_sigma_end=5.0)  # half of them interpenetrate
     state = start(task, config, 0)
     progress = list(itertools.islice(METHODS["morph"](task, config, state), 3))
-    assert 3 <= state.truncations <= 3 * config.trajectories - 6
+    assert 3 <= state.diverged <= 3 * config.trajectories - 6
     assert all(np.isfinite([p.episode_return, p.divergence or 0, p.search_cost or 0]).all() for p in progress)
     assert all_finite(state)
     task.design_space.check(state.phi)
@@ -285,9 +285,9 @@ def test_a_run_on_a_design_that_can_not_be_simulated_waits_for_a_better_one(smal
     state.phi = state.design_space.clip(np.where(np.arange(8) == 0, np.pi / 2, state.phi))
     iterations = METHODS["morph"](TASK, make_config(small, design_sigma=0.01, design_sigma_end=0.01), state)
     assert next(iterations).divergence is None
-    assert state.truncations == small.trajectories
+    assert state.diverged == small.trajectories
     state.phi = TASK.design_space.initial
     state.fitted = False
     assert next(iterations).divergence is not None
-    assert state.truncations == small.trajectories
+    assert state.diverged == small.trajectories
     assert all_finite(state)

@@ -119,7 +119,7 @@ def test_every_corner_of_the_box_can_be_simulated() -> None:
     s = TASK.reset(hw_phy, len(corners), np.random.default_rng(0))
     for _ in range(20):  # 200 steps of physics
         step = TASK.step(hw_phy, s, np.zeros((len(s), TASK.action_size)))
-        assert np.array_equal(step.truncated, ~apart)
+        assert np.array_equal(step.diverged, ~apart)
         assert np.isfinite(step.s).all()
         assert np.isfinite(step.z).all()
         s = step.s

@@ -155,10 +155,10 @@ def test_where_phi_is_frozen_it_stays_and_every_episode_runs_on_it(method: str, 
 @pytest.mark.parametrize(("success", "frozen"), [(0.5, True), (0.49, False)])
 def test_phi_is_frozen_once_enough_trajectories_succeed(success: float, frozen: bool, small: Config) -> None:
     state = start(TASK, small, 0)
-    rollout = SimpleNamespace(steps=1, truncations=0, success_rate=success)
+    rollout = SimpleNamespace(steps=1, diverged=0, success_rate=success)
     state.advance(1, rollout, dataclasses.replace(small, freeze_success=0.5))  # pyright: ignore
     assert state.frozen == frozen
-    state.advance(2, SimpleNamespace(steps=1, truncations=0, success_rate=0.0), small)  # pyright: ignore
+    state.advance(2, SimpleNamespace(steps=1, diverged=0, success_rate=0.0), small)  # pyright: ignore
     assert state.frozen == frozen  # it does not thaw by itself
 
 
@@ -184,7 +184,7 @@ def test_a_method_learns_from_the_episodes_that_could_be_simulated(method: str, 
     state = start(task, config, 0)
     before = copy.deepcopy(state.learner.policy.state_dict())
     progress = list(itertools.islice(METHODS[method](task, config, state), 4))
-    assert 0 < state.truncations < 4 * 32
+    assert 0 < state.diverged < 4 * 32
     assert all(np.isfinite(p.episode_return) for p in progress)
     assert any(not torch.equal(before[name], weights) for name, weights in state.learner.policy.state_dict().items())
     assert all_finite(state)
@@ -198,8 +198,8 @@ def test_an_iteration_that_leaves_no_two_episodes_is_skipped(method: str, limit:
     before = copy.deepcopy({name: module.state_dict() for name, module in state.learner.modules.items()})
     progress = list(itertools.islice(METHODS[method](task, config, state), 3))
     assert [p.iteration for p in progress] == [1, 2, 3]
-    assert state.truncations == 3 * config.trajectories
-    assert progress[-1].env_steps == state.env_steps >= state.truncations
+    assert state.diverged == 3 * config.trajectories
+    assert progress[-1].env_steps == state.env_steps >= state.diverged
     assert [(p.success, p.episode_return, p.phi) for p in progress] == [(0.0, 0.0, state.phi.tolist())] * 3
     for name, module in state.learner.modules.items():
         assert all(torch.equal(before[name][key], value) for key, value in module.state_dict().items())

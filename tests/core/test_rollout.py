@@ -62,7 +62,7 @@ def turning(rng: np.random.Generator) -> Act:
     return lambda o: rng.uniform(-1, 1, (len(o), LINKS)).astype(np.float32)
 
 
-def test_truncated_episodes_are_left_out_and_counted() -> None:
+def test_diverged_episodes_are_left_out_and_counted() -> None:
     task, sound = Fragile(), Reacher()
     arm = task.hw_phy(task.design_space.initial)
     s = task.reset(arm, 64, np.random.default_rng(0))
@@ -72,7 +72,7 @@ def test_truncated_episodes_are_left_out_and_counted() -> None:
     broken = np.any([task.broken(s) & alive for s, alive in zip(after, whole.alive, strict=True)], 0)
     assert 0 < broken.sum() < 64
     assert np.array_equal(rollout.kept, ~broken)
-    assert (rollout.episodes, rollout.truncations) == (64, broken.sum())
+    assert (rollout.episodes, rollout.diverged) == (64, broken.sum())
     for name in ("s", "a", "z", "reward", "action", "observation", "alive", "success", "contact"):
         array = getattr(rollout, name)
         assert np.array_equal(array, getattr(whole, name)[: len(array), ~broken], equal_nan=name == "contact"), name
@@ -85,18 +85,18 @@ def test_the_steps_of_what_is_left_out_count_up_to_where_it_diverged() -> None:
     task = Fragile(limit=0.0)  # diverges in the first step
     arm = task.hw_phy(task.design_space.initial)
     rollout = collect(task, turning(np.random.default_rng(1)), arm, task.reset(arm, 8, np.random.default_rng(0)))
-    assert (rollout.steps, rollout.truncations, rollout.episodes) == (8, 8, 8)
+    assert (rollout.steps, rollout.diverged, rollout.episodes) == (8, 8, 8)
     assert rollout.returns.shape == rollout.successes.shape == (0,)
     assert rollout.s.shape == (1, 0, task.state_size)
 
 
-def test_no_batch_holds_a_step_of_a_truncated_episode(small: Config) -> None:
+def test_no_batch_holds_a_step_of_a_diverged_episode(small: Config) -> None:
     task = Fragile()
     state = start(task, small, 0)
     arm = task.hw_phy(state.phi)
     s = task.reset(arm, 64, np.random.default_rng(0))
     rollout = collect(task, turning(np.random.default_rng(1)), arm, s)
-    assert rollout.truncations
+    assert rollout.diverged
     batch = make_batch(task, state.learner, rollout, small)
     pairs = relabel_on_hardware(rollout, arm, 0, state.rng)
     assert len(batch) == len(pairs) == rollout.alive.sum()
@@ -106,12 +106,12 @@ def test_no_batch_holds_a_step_of_a_truncated_episode(small: Config) -> None:
 
 
 @pytest.mark.parametrize("sampled", [False, True])
-def test_an_evaluation_counts_a_truncated_episode_as_a_failure(small: Config, sampled: bool) -> None:
+def test_an_evaluation_counts_a_diverged_episode_as_a_failure(small: Config, sampled: bool) -> None:
     task, config = Fragile(), dataclasses.replace(small, policy_std=2.0)
     policy = start(task, config, 0).learner.policy
     score, rollout = evaluate(task, policy, task.design_space.initial, 64, np.random.default_rng(0), sampled)
-    assert score.truncations == rollout.truncations == 64 - rollout.alive.shape[1]
-    assert (score.truncations > 0) == sampled  # the mean of a fresh policy hardly moves
+    assert score.diverged == rollout.diverged == 64 - rollout.alive.shape[1]
+    assert (score.diverged > 0) == sampled  # the mean of a fresh policy hardly moves
     assert score.success == rollout.successes.sum() / 64
     assert score.episode_return == pytest.approx(rollout.returns.mean())
 
@@ -128,5 +128,5 @@ def test_where_every_simulation_diverges_the_score_is_zero_and_the_recorded_epis
     task = Fragile(limit=0.0)
     phi = task.design_space.initial
     score, rollout = evaluate(task, start(task, small, 0).learner.policy, phi, 8, np.random.default_rng(0), True)
-    assert (score.success, score.episode_return, score.truncations) == (0.0, 0.0, 8)
+    assert (score.success, score.episode_return, score.diverged) == (0.0, 0.0, 8)
     assert list(record_episode(task, rollout, phi)) == ["phi"]

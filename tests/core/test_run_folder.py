@@ -26,8 +26,8 @@ from morph_core.run_folder import (
     hold,
     list_runs,
     new_run_id,
-    read_rollout,
-    write_rollout,
+    read_episode,
+    write_episode,
 )
 from tests.core.conftest import make_run
 
@@ -163,16 +163,16 @@ def test_a_damaged_record_is_an_error_with_a_reason(tmp_path: Path, content: byt
         History(folder)
 
 
-def test_rollouts_come_back_and_damaged_ones_are_an_error(tmp_path: Path) -> None:
+def test_episodes_come_back_and_damaged_ones_are_an_error(tmp_path: Path) -> None:
     folder = make_run(tmp_path)
-    name = write_rollout(folder, 12, {"qpos": np.arange(6.0).reshape(3, 2)})
-    assert name == "rollouts/000012.npz"
-    assert read_rollout(folder, 12)["qpos"].tolist() == [[0, 1], [2, 3], [4, 5]]
-    folder.rollout(12).write_bytes(b"PK\x03\x04 torn")
+    name = write_episode(folder, 12, {"qpos": np.arange(6.0).reshape(3, 2)})
+    assert name == "episodes/000012.npz"
+    assert read_episode(folder, 12)["qpos"].tolist() == [[0, 1], [2, 3], [4, 5]]
+    folder.episode(12).write_bytes(b"PK\x03\x04 torn")
     with pytest.raises(RunFolderError, match="can't be read"):
-        read_rollout(folder, 12)
-    with pytest.raises(RunFolderError, match="no rollout of iteration 13"):
-        read_rollout(folder, 13)
+        read_episode(folder, 12)
+    with pytest.raises(RunFolderError, match="no episode of iteration 13"):
+        read_episode(folder, 13)
 
 
 def test_run_names_say_when_and_what() -> None:

@@ -43,7 +43,7 @@ def test_shapes_are_as_declared(task: Task) -> None:
     assert step.a.shape == (N, task.action_size)
     assert step.z.shape == (N, task.z_size)
     assert step.contact.shape[::2] == (N, 3)
-    flags = (step.terminated, step.truncated, step.success, *step.milestones.values())
+    flags = (step.terminated, step.diverged, step.success, *step.milestones.values())
     for vector in (step.reward, *flags, *step.reward_terms.values()):
         assert vector.shape == (N,)
     assert task.proxy_input(s, step.a).shape == (N, task.proxy_input_size)

@@ -17,7 +17,7 @@ import pytest
 from morph_core import protocol
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, StateChanged
-from morph_core.run_folder import RunFolder, read_rollout
+from morph_core.run_folder import RunFolder, read_episode
 from morph_core.state import start
 from morph_core.tasks import make_task
 from morph_core.train import METHODS, apply_edit
@@ -51,7 +51,7 @@ def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path:
     assert [p.iteration for p in history.progress] == [1, 2, 3, 4, 5, 6]
     assert [e.iteration for e in history.evaluations] == [2, 4, 6]
     assert folder.checkpoint_iterations() == [2, 4, 6]
-    episode = read_rollout(folder, 6)
+    episode = read_episode(folder, 6)
     steps = len(episode["action"])
     assert episode["qpos"].shape == (steps + 1, 5)
     assert episode["contact"].shape == (steps, 1, 3)
@@ -78,7 +78,7 @@ def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp
         (protocol.SetBound("link_1", 1.0, 2.0), True), (protocol.SetBound("link_1", 4.0, 2.0), False),
         (protocol.SetBound("link_9", 1.0, 2.0), False), (protocol.Lock("link_2", 1.25), True),
         (protocol.Lock("link_3", 99.0), False), (protocol.InjectDesign([0.5] * 5), False),
-        (protocol.InjectDesign([1.5, 1.25, 1.0, 1.0, 1.0]), True), (protocol.Step(), True),
+        (protocol.InjectDesign([1.5, 1.25, 1.0, 1.0, 1.0]), True), (protocol.StepIteration(), True),
     ]  # fmt: skip
     ids = [folder.send(command) for command, _ in sent]
     wait_for(history, lambda: len(history.acknowledged) == len(sent) + 1)

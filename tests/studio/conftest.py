@@ -22,7 +22,7 @@ from fastapi import FastAPI
 
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
-from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_rollout
+from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
 from morph_core.tasks import make_task
 from studio.app import create_app
 from studio.bridge import MAX_MESSAGE
@@ -103,11 +103,11 @@ def make_run(runs: Path, name: str = NAME, ended: Status | None = "stopped") -> 
         log.append(
             Progress(iteration=i, env_steps=100 * i, phi=phi, episode_return=-1.0, success=0.1 * i, policy_std=0.5)
         )
-    rollout = write_rollout(folder, 3, {"qpos": np.zeros((4, 5)), "phi": np.full(5, 2.7)})
+    name = write_episode(folder, 3, {"qpos": np.zeros((4, 5)), "phi": np.full(5, 2.7)})
     log.append(
         Evaluation(
             iteration=3, env_steps=300, phi=[2.7] * 5, sampled_success=0.5, sampled_return=0.0,
-            deterministic_success=0.25, deterministic_return=0.0, rollout=rollout,
+            deterministic_success=0.25, deterministic_return=0.0, episode=name,
         )
     )  # fmt: skip
     log.append(StateChanged(status=ended, iteration=3, message="as asked"))
@@ -130,13 +130,13 @@ def make_hand_run(runs: Path, task: str, name: str = "20260101-000000-hand-direc
     log.append(
         Progress(
             iteration=1, env_steps=5120, phi=phi, episode_return=-1.0, success=0.0, policy_std=0.5,
-            relabelled_steps=1024, truncations=3,
+            relabelled_steps=1024, diverged=3,
         )
     )  # fmt: skip
     log.append(
         Evaluation(
             iteration=1, env_steps=5120, phi=phi, sampled_success=0.25, sampled_return=0.0, deterministic_success=0.5,
-            deterministic_return=0.0, milestones={"lifted": 0.75, "pressed": 0.5}, truncations=2,
+            deterministic_return=0.0, milestones={"lifted": 0.75, "pressed": 0.5}, diverged=2,
         )
     )  # fmt: skip
     log.append(StateChanged(status="finished", iteration=1, message="as asked"))

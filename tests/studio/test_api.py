@@ -169,7 +169,7 @@ def test_a_body_that_is_too_long_is_refused(served: Served, run_id: str) -> None
 def test_an_unknown_run_lists_the_choices_on_every_route(served: Served, ended: RunFolder) -> None:
     for method, rest in (
         ("GET", ""), ("POST", "/commands"), ("POST", "/resume"), ("POST", "/show"), ("GET", "/events"),
-        ("GET", "/metrics"), ("GET", "/designs"), ("GET", "/rollouts/3"), ("GET", "/designs/best/export"),
+        ("GET", "/metrics"), ("GET", "/designs"), ("GET", "/episodes/3"), ("GET", "/designs/best/export"),
     ):  # fmt: skip
         content = b'{"type": "pause"}' if rest == "/commands" else None
         answer = served.client.request(method, f"/api/runs/nobody{rest}", content=content)
@@ -276,13 +276,13 @@ def test_designs_are_the_evolution_of_phi(served: Served, ended: RunFolder) -> N
 
 
 def test_a_rollout_comes_as_it_was_recorded(served: Served, ended: RunFolder) -> None:
-    answer = served.client.get(f"/api/runs/{ended.id}/rollouts/3")
+    answer = served.client.get(f"/api/runs/{ended.id}/episodes/3")
     assert np.load(io.BytesIO(answer.content), allow_pickle=False)["qpos"].shape == (4, 5)
 
 
 @pytest.mark.parametrize("iteration", ["4", "-1", "x", "9" * 30, "³", "..%2f..%2frun.json"])
 def test_a_rollout_that_is_not_there_lists_the_choices(served: Served, ended: RunFolder, iteration: str) -> None:
-    answer = served.client.get(f"/api/runs/{ended.id}/rollouts/{iteration}")
+    answer = served.client.get(f"/api/runs/{ended.id}/episodes/{iteration}")
     assert answer.status_code == 404
     if "%2f" not in iteration:
         assert "choose from: 3" in refused(answer, 404)
@@ -291,8 +291,8 @@ def test_a_rollout_that_is_not_there_lists_the_choices(served: Served, ended: Ru
 def test_a_rollout_that_links_elsewhere_is_not_followed(served: Served, ended: RunFolder, tmp_path: Path) -> None:
     secret = tmp_path / "secret.npz"
     secret.write_bytes(b"secret")
-    ended.rollout(7).symlink_to(secret)
-    assert "no plain file" in refused(served.client.get(f"/api/runs/{ended.id}/rollouts/7"), 404)
+    ended.episode(7).symlink_to(secret)
+    assert "no plain file" in refused(served.client.get(f"/api/runs/{ended.id}/episodes/7"), 404)
 
 
 def test_an_export_is_a_zip_with_mjcf_urdf_and_provenance(served: Served, ended: RunFolder) -> None:

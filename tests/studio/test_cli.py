@@ -87,19 +87,19 @@ def test_milestones_and_diverged_episodes_are_reported(tmp_path: Path) -> None:
     assert _in_short(history).endswith("  diverged 3")
     document = _document(history, Outcome(0, "finished", ""))
     assert document["relabelled_steps"] == 1024
-    assert document["truncations"] == 3
+    assert document["diverged"] == 3
     assert document["last_evaluation"]["milestones"] == {"lifted": 0.75, "pressed": 0.5}  # pyright: ignore[reportIndexIssue, reportOptionalSubscript]
-    assert document["last_evaluation"]["truncations"] == 2  # pyright: ignore[reportIndexIssue, reportOptionalSubscript]
+    assert document["last_evaluation"]["diverged"] == 2  # pyright: ignore[reportIndexIssue, reportOptionalSubscript]
 
 
 def test_an_evaluation_is_printed_with_what_came_before_success(capsys: pytest.CaptureFixture[str]) -> None:
-    score = {"success": 0.25, "episode_return": -1.0, "milestones": {"lifted": 0.75}, "truncations": 0}
+    score = {"success": 0.25, "episode_return": -1.0, "milestones": {"lifted": 0.75}, "diverged": 0}
     result = {"run": "r", "iteration": 3, "episodes": 8, "phi": {"length_1": 0.2}, "sampled": score}
     _print_result(result | {"deterministic": score})
     assert capsys.readouterr().out.splitlines()[1].split() == [
         "policy,", "8", "episodes", "success", "lifted", "return"
     ]  # fmt: skip
-    _print_result(result | {"deterministic": score | {"truncations": 2}})
+    _print_result(result | {"deterministic": score | {"diverged": 2}})
     heading, *rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
     assert heading[-1] == "diverged"
     assert rows == [["sampled", "0.250", "0.750", "-1.000", "0"], ["deterministic", "0.250", "0.750", "-1.000", "2"]]

@@ -84,7 +84,7 @@ def test_the_walk_over_routes_finds_the_public_ones(shared: Served) -> None:
         ("GET", "/"), ("GET", "/viewer/"), ("WEBSOCKET", "/viewer"), ("GET", "/healthz"), ("GET", "/docs"),
         ("GET", "/api/tasks"), ("GET", "/api/runs"), ("POST", "/api/runs"), ("GET", "/api/runs/x"),
         ("POST", "/api/runs/x/commands"), ("POST", "/api/runs/x/resume"), ("GET", "/api/runs/x/events"),
-        ("GET", "/api/runs/x/metrics"), ("GET", "/api/runs/x/designs"), ("GET", "/api/runs/x/rollouts/x"),
+        ("GET", "/api/runs/x/metrics"), ("GET", "/api/runs/x/designs"), ("GET", "/api/runs/x/episodes/x"),
         ("GET", "/api/runs/x/designs/x/export"), ("GET", "/page/icon.svg"),
     } <= found  # fmt: skip
 

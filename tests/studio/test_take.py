@@ -10,7 +10,7 @@ from conftest import make_hand_run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from morph_core.run_folder import RunFolder, write_rollout
+from morph_core.run_folder import RunFolder, write_episode
 from morph_core.tasks import TASKS, make_task
 from studio.viewer.legend import legend_of
 from studio.viewer.scene import is_flat
@@ -42,9 +42,9 @@ def episode_of(task: str, **arrays: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def take_of(folder: RunFolder, episode: dict[str, np.ndarray], **wanted: object) -> Take:
-    write_rollout(folder, 3, episode)
+    write_episode(folder, 3, episode)
     phi = tuple(make_task("pen_press").design_space.initial.tolist())
-    return make_take(Shot("pen_press", (), phi, rollout=(folder, 3), **wanted))  # pyright: ignore[reportArgumentType]
+    return make_take(Shot("pen_press", (), phi, episode=(folder, 3), **wanted))  # pyright: ignore[reportArgumentType]
 
 
 def at(*true: int) -> np.ndarray:

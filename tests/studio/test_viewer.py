@@ -26,11 +26,11 @@ from morph_core.protocol import (
     SetBound,
     SetProjection,
     StateChanged,
-    Step,
+    StepIteration,
     Stop,
     Unlock,
 )
-from morph_core.run_folder import EventLog, RunFolder, write_rollout
+from morph_core.run_folder import EventLog, RunFolder, write_episode
 from morph_core.tasks import make_task
 from studio.viewer import StartRequest
 from studio.viewer.charts import MOST_POINTS, decimate
@@ -225,7 +225,7 @@ def test_an_unreadable_run_says_why(page: Page) -> None:
 
 
 def test_a_rollout_that_is_damaged_is_reported_and_the_next_design_is_shown(page: Page, folder: RunFolder) -> None:
-    folder.rollout(3).write_bytes(b"no zip at all")
+    folder.episode(3).write_bytes(b"no zip at all")
     page.show(folder)
     assert eventually(lambda: "can&#x27;t be shown" in page.viewer.notice.content)
     page.viewer.timeline.follow.value = False
@@ -295,7 +295,7 @@ def test_step_stop_and_hotkeys_send_their_commands(page: Page, folder: RunFolder
     page.viewer.run.ask("Stop", None)
     page.viewer.run.ask("<no such button>", None)
     page.viewer.run.toggle(None)
-    assert [command for _, command in page.commands] == [Step(), Stop(), Pause()]
+    assert [command for _, command in page.commands] == [StepIteration(), Stop(), Pause()]
     hotkeys = {command.hotkey for command in page.server.gui._command_handle_from_uuid.values()}
     assert {"P", "K", "F", "space"} <= hotkeys
 
@@ -432,7 +432,7 @@ def episode(folder: RunFolder) -> RunFolder:
     qpos = np.tile(np.array(task.reset(task.hw_phy(np.full(5, 2.0)), 1, np.random.default_rng(0))[0, :5]), (5, 1))
     contact = np.full((4, 3), np.nan)
     contact[1] = (2.4, 4.7, 0.0)
-    name = write_rollout(
+    name = write_episode(
         folder, 4,
         {"qpos": qpos, "phi": np.full(5, 2.0), "contact": contact, "success": np.array([False, False, False, True])},
     )  # fmt: skip
@@ -440,13 +440,13 @@ def episode(folder: RunFolder) -> RunFolder:
     append(
         folder,
         progress(4),
-        Evaluation(iteration=4, env_steps=400, phi=[2.0] * 5, sampled_success=1.0, rollout=name, **numbers),
+        Evaluation(iteration=4, env_steps=400, phi=[2.0] * 5, sampled_success=1.0, episode=name, **numbers),
     )
     return folder
 
 
 def test_a_wall_lights_up_where_it_is_hit_and_the_goal_when_it_is_touched(episode: RunFolder) -> None:
-    take = make_take(Shot("reacher", (), (2.0,) * 5, rollout=(episode, 4)))
+    take = make_take(Shot("reacher", (), (2.0,) * 5, episode=(episode, 4)))
     names = take.scenery.names
     lit = [
         {names[i] for i in np.flatnonzero((take.scenery_colours(f) != take.scenery.colours).any(1))}
@@ -463,14 +463,14 @@ def test_a_wall_lights_up_where_it_is_hit_and_the_goal_when_it_is_touched(episod
 def test_follow_shows_the_latest_episode_and_a_choice_stays(page: Page, folder: RunFolder, episode: RunFolder) -> None:
     del folder
     page.show(episode)
-    page.take(lambda take: take.shot.rollout == (episode, 4))
+    page.take(lambda take: take.shot.episode == (episode, 4))
     page.viewer.timeline._jump("first")
-    page.take(lambda take: take.shot.rollout == (episode, 3))
+    page.take(lambda take: take.shot.episode == (episode, 3))
     assert not page.viewer.timeline.follow.value
     page.show(episode)
     assert page.viewer.timeline.shown_iteration == 3
     page.viewer.timeline.toggle_follow()
-    page.take(lambda take: take.shot.rollout == (episode, 4))
+    page.take(lambda take: take.shot.episode == (episode, 4))
 
 
 def test_an_iteration_without_an_episode_stands_and_says_so(page: Page, episode: RunFolder) -> None:
