@@ -2,12 +2,11 @@
 
 from itertools import islice
 
-from morph_core.morph import morph
-from morph_core.state import start
-from morph_core.tasks import make_task
+from morph_core import make_method, make_task, start
 
 task = make_task("reacher")
-state = start(task, task.config, seed=0)
-for progress in islice(morph(task, task.config, state), 100):
+method = make_method("morph", task)
+state = start(task, method, seed=0)
+for progress in islice(method.iterations(task, state), 100):
     links = " ".join(f"{length:.2f}" for length in progress.phi)
     print(f"{progress.iteration:3d}  success {progress.success:4.2f}  links {links} m")

@@ -12,8 +12,8 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from morph_core.config import Config
 from morph_core.design import DesignSpace
+from morph_core.method import Method
 from morph_core.protocol import Parameter
 from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.state import State, start
@@ -69,14 +69,14 @@ def recover_checkpoints(folder: RunFolder) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
-def load_checkpoint(folder: RunFolder, iteration: int, task: Task, config: Config) -> tuple[State, float]:
+def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Method) -> tuple[State, float]:
     """Return the state after `iteration` and the CPU seconds it took; RunFolderError says what is damaged."""
     path = folder.checkpoint(iteration)
     try:
         facts = json.loads((path / "state.json").read_text())
         tensors = load_file(path / "weights.safetensors")
         space = DesignSpace(tuple(msgspec.convert(facts["parameters"], list[Parameter])))
-        state = start(task, config, 0, space)
+        state = start(task, method, 0, space)
         state.iteration, state.env_steps = facts["iteration"], facts["env_steps"]
         diverged = "diverged" if "diverged" in facts else "truncations"  # as format 1 called it
         state.relabelled_steps, state.diverged = facts["relabelled_steps"], facts[diverged]
@@ -91,11 +91,11 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, config: Confi
         raise RunFolderError(f"checkpoint {iteration} of {folder.id} can't be read: {error}") from error
 
 
-def load_newest(folder: RunFolder, task: Task, config: Config) -> tuple[State, float] | None:
+def load_newest(folder: RunFolder, task: Task, method: Method) -> tuple[State, float] | None:
     """Return the newest checkpoint that can be read, or None; older ones stand in for a damaged one."""
     for iteration in reversed(folder.checkpoint_iterations()):
         try:
-            return load_checkpoint(folder, iteration, task, config)
+            return load_checkpoint(folder, iteration, task, method)
         except RunFolderError:
             continue
     return None
@@ -103,19 +103,19 @@ def load_newest(folder: RunFolder, task: Task, config: Config) -> tuple[State, f
 
 def _tensors(state: State) -> dict[str, Tensor]:
     tensors = {}
-    for name, module in state.learner.modules.items():
+    for name, module in state.modules.items():
         tensors |= {f"{name}/{key}": value.contiguous() for key, value in module.state_dict().items()}
-    for name, optimizer in state.learner.optimizers.items():
+    for name, optimizer in state.optimizers.items():
         for index, moments in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}_optimizer/{index}/{key}": value.contiguous() for key, value in moments.items()}
     return tensors
 
 
 def _restore(state: State, tensors: dict[str, Tensor]) -> None:
-    for name, module in state.learner.modules.items():
+    for name, module in state.modules.items():
         prefix = f"{name}/"
         module.load_state_dict({k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)})
-    for name, optimizer in state.learner.optimizers.items():
+    for name, optimizer in state.optimizers.items():
         moments: dict[int, dict[str, Tensor]] = {}
         for key, value in tensors.items():
             if key.startswith(f"{name}_optimizer/"):
@@ -126,7 +126,7 @@ def _restore(state: State, tensors: dict[str, Tensor]) -> None:
 
 def all_finite(state: State) -> bool:
     """Tell whether phi and every weight are finite."""
-    weights = (p for module in state.learner.modules.values() for p in module.parameters())
+    weights = (p for module in state.modules.values() for p in module.parameters())
     return bool(np.isfinite(state.phi).all()) and all(bool(torch.isfinite(p).all()) for p in weights)
 
 

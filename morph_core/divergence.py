@@ -1,8 +1,31 @@
-"""The divergence D of two hardware models: mean squared distance of their outputs on sampled (s, a)."""
+"""The divergence D of two hardware models: mean squared distance of their outputs on sampled (s, a).
+
+The functions of D take arrays and tensors alike.
+"""
+
+from typing import Any, TypeVar
 
 import numpy as np
 
+Z = TypeVar("Z", bound=Any)
+"""An array or a tensor."""
 
-def divergence(z: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return mean_n ||z_n - target_n||^2 over the samples: (...) for z (..., n, z_size)."""
-    return ((z - target) ** 2).sum(-1).mean(-1)
+
+def squared_distance(z: Z, target: Z) -> Z:
+    """Return ||z_n - target_n||^2 of each sample: (..., n) for z (..., n, z_size)."""
+    return ((z - target) ** 2).sum(-1)
+
+
+def divergence(z: Z, target: Z) -> Z:
+    """Return D = mean_n ||z_n - target_n||^2 over the samples: (...) for z (..., n, z_size)."""
+    return squared_distance(z, target).mean(-1)
+
+
+def divergence_gradient(z: Z, target: Z) -> Z:
+    """Return dD/dz (n, z_size) for z (n, z_size)."""
+    return 2 * (z - target) / len(z)
+
+
+def limited(difference: np.ndarray, limit: float) -> np.ndarray:
+    """Return differences of z clipped to +-limit; 0 means no limit."""
+    return np.clip(difference, -limit, limit) if limit else difference

@@ -8,8 +8,8 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from morph_core.catalogue import TASKS, make_task
 from morph_core.task import Task, Transition
-from morph_core.tasks import TASKS, make_task
 
 
 def _spaces(task: Task) -> tuple[Box, Box]:

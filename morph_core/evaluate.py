@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from morph_core.catalogue import make_task, read_method
 from morph_core.checkpoint import load_checkpoint
-from morph_core.config import config_from
 from morph_core.design import DesignSpace
 from morph_core.episodes import evaluate
 from morph_core.history import History
 from morph_core.run_folder import RunFolder, RunFolderError
-from morph_core.tasks import make_task
 
 
 def evaluate_run(
@@ -34,11 +33,11 @@ def evaluate_run(
     if not saved:
         raise RunFolderError(f"{folder.id} has no checkpoint up to iteration {iteration}: no policy to evaluate")
     task = make_task(history.record.task, history.record.task_options)
-    state, _ = load_checkpoint(folder, saved[-1], task, config_from(history.record.config))
+    state, _ = load_checkpoint(folder, saved[-1], task, read_method(history.record))
     scores = {}
     for name, sampled in (("sampled", True), ("deterministic", False)):
         rng = np.random.default_rng([seed, iteration])
-        score, _ = evaluate(task, state.learner.policy, phi, episodes, rng, sampled)
+        score, _ = evaluate(task, state.control.policy, phi, episodes, rng, sampled)
         scores[name] = dataclasses.asdict(score)
     return {
         "run": folder.id,

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from morph_core.config import Config
+from morph_core.parts import Ppo
 from morph_core.task import Task
 
 SMALLEST_STD, LARGEST_STD = 0.02, 2.0
@@ -31,13 +31,13 @@ def log_normal(x: Tensor, mean: Tensor, std: Tensor) -> Tensor:
 class Policy(nn.Module):
     """pi_theta(a | s) = N(mu_theta(s), sigma_a), in units of the largest action."""
 
-    def __init__(self, task: Task, config: Config, rng: torch.Generator) -> None:
+    def __init__(self, task: Task, ppo: Ppo, hidden: int, rng: torch.Generator) -> None:
         super().__init__()
-        self.mean = mlp(task.observation_size, config.hidden, task.action_size, nn.Tanh, rng)
+        self.mean = mlp(task.observation_size, hidden, task.action_size, nn.Tanh, rng)
         nn.init.orthogonal_(self.mean[-1].weight, 0.01, generator=rng)  # pyright: ignore[reportArgumentType]
         with torch.no_grad():
             self.mean[-1].bias.copy_(torch.from_numpy(task.initial_action))  # pyright: ignore
-        self.log_std = nn.Parameter(torch.full((task.action_size,), math.log(config.policy_std)))
+        self.log_std = nn.Parameter(torch.full((task.action_size,), math.log(ppo.std)))
 
     @property
     def std(self) -> Tensor:
@@ -66,9 +66,9 @@ class Policy(nn.Module):
 class Critic(nn.Module):
     """V(s, t): it sees the time, because an episode ends at the horizon whatever the state."""
 
-    def __init__(self, task: Task, config: Config, rng: torch.Generator) -> None:
+    def __init__(self, task: Task, hidden: int, rng: torch.Generator) -> None:
         super().__init__()
-        self.value = mlp(task.observation_size + 1, config.hidden, 1, nn.Tanh, rng)
+        self.value = mlp(task.observation_size + 1, hidden, 1, nn.Tanh, rng)
 
     def forward(self, observation: Tensor, time: Tensor) -> Tensor:
         """Return values (...) for observations (..., o) at times (...) in [0, 1)."""
@@ -78,16 +78,16 @@ class Critic(nn.Module):
 class Proxy(nn.Module):
     """Hw-NN, h_psi(z | s, a)."""
 
-    def __init__(self, task: Task, config: Config, rng: torch.Generator) -> None:
+    def __init__(self, task: Task, hidden: int, rng: torch.Generator) -> None:
         super().__init__()
         self._task = task
-        self.net = mlp(task.proxy_input_size, config.hidden, task.z_size, nn.SiLU, rng)
+        self.net = mlp(task.proxy_input_size, hidden, task.z_size, nn.SiLU, rng)
 
     def forward(self, features: Tensor) -> Tensor:
         """Return z (N, z_size) for `task.proxy_input` features."""
         return self.net(features) * self._task.z_scale
 
-    def hardware(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """The proxy as `Hardware`: z (N, z_size) float64 for states and executed actions."""
-        with torch.no_grad():
-            return self(torch.from_numpy(self._task.proxy_input(s, a))).numpy().astype(float)
+
+def minibatches(size: int, count: int, rng: np.random.Generator) -> list[Tensor]:
+    """Return `count` shuffled, nearly equal index tensors over range(size)."""
+    return [torch.from_numpy(part) for part in np.array_split(rng.permutation(size), min(count, size))]

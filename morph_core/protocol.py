@@ -242,6 +242,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """run.json: everything needed to run it again. Written once."""
 
     format: int = 1
+    """1: settings are one flat list; 2: nested, in parts."""
     id: str
     task: str
     task_options: dict[str, object] = {}

@@ -1,54 +1,21 @@
 """Everything of a run that lives from one iteration to the next: what a user may edit, and what a checkpoint holds."""
 
-import copy
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import nn
 
-from morph_core.config import Config, Projection
+from morph_core.config import Projection
+from morph_core.control import Control
 from morph_core.design import DesignSpace
-from morph_core.networks import Critic, Policy, Proxy
+from morph_core.hw_nn import HwNN
+from morph_core.method import Method
 from morph_core.protocol import Progress
 from morph_core.rollout import Rollout
+from morph_core.search import Memory
 from morph_core.task import Task
-
-
-@dataclass
-class Learner:
-    """theta, psi and the critic, each with its optimiser."""
-
-    policy: Policy
-    critic: Critic
-    proxy: Proxy
-    reference: Proxy | None
-    """A twin of the proxy that only learns Hw-Phy: what the task asks for is the proxy's difference from it.
-    `search=drift` alone needs it."""
-    control_optimizer: torch.optim.Adam
-    proxy_optimizer: torch.optim.Adam
-    reference_optimizer: torch.optim.Adam | None
-
-    @property
-    def modules(self) -> dict[str, nn.Module]:
-        twin = {"reference": self.reference} if self.reference else {}
-        return {"policy": self.policy, "critic": self.critic, "proxy": self.proxy, **twin}
-
-    @property
-    def optimizers(self) -> dict[str, torch.optim.Adam]:
-        twin = {"reference": self.reference_optimizer} if self.reference_optimizer else {}
-        return {"control": self.control_optimizer, "proxy": self.proxy_optimizer, **twin}
-
-    def pair(self) -> None:
-        """Let the reference start as the proxy is."""
-        if self.reference:
-            self.reference.load_state_dict(self.proxy.state_dict())
-
-    def settle(self) -> None:
-        """After a search by drift: phi has gone where the task drew the proxy, which starts again as the reference."""
-        if self.reference and self.reference_optimizer:
-            self.proxy.load_state_dict(self.reference.state_dict())
-            self.proxy_optimizer.load_state_dict(copy.deepcopy(self.reference_optimizer.state_dict()))
 
 
 @dataclass
@@ -60,8 +27,13 @@ class State:
     phi: np.ndarray  # (d,)
     design_space: DesignSpace
     alpha: float
+    """alpha in force; 0 for a method without a proxy."""
     projection: Projection
-    learner: Learner
+    control: Control
+    proxy: HwNN | None
+    """Hw-NN, for a method that has one."""
+    memory: Memory
+    """What the search for phi keeps from one iteration to the next."""
     rng: np.random.Generator
     fitted: bool = False
     """Whether the proxy has been fitted to Hw-Phy at the initial design."""
@@ -78,46 +50,70 @@ class State:
     last_reached: int = 0
     """The last iteration in which episodes reached the first milestone of the task."""
 
-    def advance(self, iteration: int, rollout: Rollout, config: Config) -> None:
-        """Note that an iteration is over, and what its trajectories took."""
+    @property
+    def hw_nn(self) -> HwNN:
+        """Return the proxy; ValueError for a method that has none."""
+        if self.proxy is None:
+            raise ValueError("this method has no proxy")
+        return self.proxy
+
+    @property
+    def proxies(self) -> Mapping[str, HwNN]:
+        """Return every proxy that learns, by the name under which a checkpoint holds it."""
+        return ({"proxy": self.proxy} if self.proxy else {}) | dict(self.memory.learners)
+
+    @property
+    def modules(self) -> Mapping[str, nn.Module]:
+        """Return every network, by the name under which a checkpoint holds it."""
+        networks = {name: hw_nn.proxy for name, hw_nn in self.proxies.items()}
+        return {"policy": self.control.policy, "critic": self.control.critic, **networks}
+
+    @property
+    def optimizers(self) -> Mapping[str, torch.optim.Adam]:
+        """Return every optimiser, by the name under which a checkpoint holds it."""
+        return {"control": self.control.optimizer, **{name: hw_nn.optimizer for name, hw_nn in self.proxies.items()}}
+
+    def set_learning_rates(self, method: Method, iteration: int) -> None:
+        """Anneal the rates of policy, critic and proxies over the schedule."""
+        self.control.set_learning_rate(iteration - self.control_start)
+        for hw_nn in self.proxies.values():
+            hw_nn.set_learning_rate(method.schedule.linear(method.ppo.learning_rate_end, iteration))
+
+    def fit_proxy(self, task: Task) -> None:
+        """Fit the proxy to Hw-Phy with the present phi, unless that has been done: before line 1, and after phi was
+        changed by a user."""
+        if not self.fitted:
+            self.relabelled_steps += self.hw_nn.fit(task.hw_phy(self.phi), self.rng)
+            self.memory.proxy_was_fitted(self.hw_nn)
+            self.fitted = True
+
+    def advance(self, iteration: int, rollout: Rollout, freeze_success: float = 0.0, **metrics: object) -> Progress:
+        """Note that an iteration is over, and return what is to be said of it.
+
+        phi is frozen once `freeze_success` (0: never) of the trajectories succeed. An iteration without `metrics`
+        left nothing to learn from: almost every simulation diverged.
+        """
         self.iteration = iteration
         self.env_steps += rollout.steps
         self.diverged += rollout.diverged
-        self.frozen = self.frozen or 0 < config.freeze_success <= rollout.success_rate
-
-    def skip(self, iteration: int, rollout: Rollout, config: Config) -> Progress:
-        """Note an iteration that leaves nothing to learn from: almost every simulation diverged."""
-        self.advance(iteration, rollout, config)
+        self.frozen = self.frozen or 0 < freeze_success <= rollout.success_rate
         return Progress(
             iteration=iteration,
             env_steps=self.env_steps,
             phi=self.phi.tolist(),
             episode_return=rollout.mean_return,
             success=rollout.success_rate,
-            policy_std=self.learner.policy.mean_std,
+            policy_std=self.control.policy.mean_std,
+            **metrics,  # pyright: ignore[reportArgumentType]
         )
 
 
-def start(task: Task, config: Config, seed: int, design_space: DesignSpace | None = None) -> State:
+def start(task: Task, method: Method, seed: int, design_space: DesignSpace | None = None) -> State:
     """Return the state before the first iteration; everything random in a run comes from `seed`."""
     space = design_space or task.design_space
     weights = torch.Generator().manual_seed(seed)
-    policy, critic, control_optimizer = new_control(task, config, weights)
-    proxy = Proxy(task, config, weights)
-    reference = copy.deepcopy(proxy) if config.search == "drift" else None
-
-    def proxy_optimizer(network: Proxy) -> torch.optim.Adam:
-        return torch.optim.Adam(network.parameters(), config.proxy_learning_rate, fused=True)
-
-    learner = Learner(
-        policy, critic, proxy, reference,
-        control_optimizer, proxy_optimizer(proxy), proxy_optimizer(reference) if reference else None,
-    )  # fmt: skip
-    return State(0, 0, space.initial, space, config.alpha, config.projection, learner, np.random.default_rng(seed))
-
-
-def new_control(task: Task, config: Config, weights: torch.Generator) -> tuple[Policy, Critic, torch.optim.Adam]:
-    """Return policy and critic as they are before anything is learnt, and their optimiser."""
-    policy, critic = Policy(task, config, weights), Critic(task, config, weights)
-    parameters = [*policy.parameters(), *critic.parameters()]
-    return policy, critic, torch.optim.Adam(parameters, config.learning_rate, fused=True)
+    control = Control(task, method.ppo, method.schedule, method.hidden, weights)
+    proxy = HwNN(task, method.proxy_fit, method.hidden, weights) if method.proxy_fit else None
+    memory = method.memory(proxy) if proxy else Memory()
+    alpha, projection = method.steering
+    return State(0, 0, space.initial, space, alpha, projection, control, proxy, memory, np.random.default_rng(seed))

@@ -6,7 +6,7 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-from morph_core.config import Config, Exploration
+from morph_core.config import Settings
 from morph_core.design import DesignSpace
 
 
@@ -64,9 +64,10 @@ class Task(Protocol):
         ...
 
     @property
-    def config(self) -> Config:
-        """The settings that were found to work for this task."""
-        ...
+    def tuned(self) -> tuple[Settings, ...]:
+        """Settings that were found to work for this task: methods, and parts that a method may be given instead of
+        its own, such as another search. Whatever is not among them has its own defaults."""
+        return ()
 
     @property
     def design_space(self) -> DesignSpace: ...
@@ -112,9 +113,9 @@ class Task(Protocol):
         ...
 
     @property
-    def explorations(self) -> tuple[Exploration, ...]:
-        """The ways of exploring z that the task can be run with."""
-        ...
+    def runs_on_proxy(self) -> bool:
+        """Whether `reset` and `step` take any Hardware, the proxy included, and not Hw-Phy alone."""
+        return True
 
     def buildable(self, phi: np.ndarray) -> np.ndarray:
         """Tell (...) which designs (..., d) can be put together at all."""
@@ -164,12 +165,3 @@ class Task(Protocol):
     def qpos(self, s: np.ndarray) -> np.ndarray:
         """Return MuJoCo's qpos (N, nq) of `scene` for states s; it begins with the qpos of `spec`."""
         ...
-
-
-def check_settings(task: Task, config: Config) -> None:
-    """Raise ValueError where a task can't be run with these settings."""
-    if config.exploration not in task.explorations:
-        allowed = ", ".join(task.explorations)
-        raise ValueError(f'{task.name} can\'t be explored by "{config.exploration}"; choose from: {allowed}')
-    if config.search == "gradient" and not hasattr(task.hw_phy(task.design_space.initial), "jacobian"):
-        raise ValueError(f'the Hw-Phy of {task.name} has no gradient in phi: search by "cma" or "drift"')

@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
@@ -21,14 +21,13 @@ import psutil
 import torch
 
 from morph_core import protocol
-from morph_core.baselines.direct import direct
-from morph_core.baselines.no_hw_opt import no_hw_opt
+from morph_core.catalogue import make_task, read_method
 from morph_core.checkpoint import all_finite, load_newest, recover_checkpoints, save_checkpoint
-from morph_core.config import Config, check_field, config_from
+from morph_core.config import NotNegative, Projection, check_value
 from morph_core.design import DesignSpace
 from morph_core.episodes import evaluate, record_episode
 from morph_core.history import History
-from morph_core.morph import morph
+from morph_core.method import Method
 from morph_core.protocol import (
     Acknowledged,
     AnyCommand,
@@ -43,15 +42,9 @@ from morph_core.protocol import (
 )
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, RunFolderError, hold, write_episode
 from morph_core.state import State, start
-from morph_core.task import Task, check_settings
-from morph_core.tasks import make_task
+from morph_core.task import Task
 
 T = TypeVar("T")
-METHODS: dict[str, Callable[[Task, Config, State], Iterator[Progress]]] = {
-    "morph": morph,
-    "no_hw_opt": no_hw_opt,
-    "direct": direct,
-}
 HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
@@ -87,17 +80,17 @@ class Trainer:
     def run(self) -> None:
         """Train until the last iteration, a stop or an exception."""
         task = self._task
-        config = config_from(self._record.config)
-        check_settings(task, config)
-        state, cpu_before = self._load(task, config)
+        method = read_method(self._record)
+        method.check(task)
+        state, cpu_before = self._load(task, method)
         cpu_start = time.process_time() - cpu_before
         if state.iteration < self._last:
             self._enter("running", "learning" if state.fitted else "fitting the proxy")
             self._between_iterations(state, cpu_start)
         if state.iteration < self._last and not self._stopping:
             began = time.monotonic()
-            for progress in METHODS[self._record.method](task, config, state):
-                self._take_in(task, config, state, progress, cpu_start)
+            for progress in method.iterations(task, state):
+                self._take_in(task, method, state, progress, cpu_start)
                 self._durations.append(time.monotonic() - began)
                 self._between_iterations(state, cpu_start)
                 if self._stopping or progress.iteration >= self._last:
@@ -133,11 +126,11 @@ class Trainer:
 
     # --- one iteration ---
 
-    def _load(self, task: Task, config: Config) -> tuple[State, float]:
+    def _load(self, task: Task, method: Method) -> tuple[State, float]:
         recover_checkpoints(self._folder)
-        newest = load_newest(self._folder, task, config)
+        newest = load_newest(self._folder, task, method)
         if newest is None:
-            state = start(task, config, self._record.seed, DesignSpace(tuple(self._record.parameters)))
+            state = start(task, method, self._record.seed, DesignSpace(tuple(self._record.parameters)))
             newest = state, 0.0
         state, _ = newest
         self._iteration, self._env_steps = state.iteration, state.env_steps
@@ -146,7 +139,7 @@ class Trainer:
         self._write(DesignSpaceChanged(iteration=state.iteration, parameters=list(state.design_space.parameters)))
         return newest
 
-    def _take_in(self, task: Task, config: Config, state: State, progress: Progress, cpu_start: float) -> None:
+    def _take_in(self, task: Task, method: Method, state: State, progress: Progress, cpu_start: float) -> None:
         """Record an iteration; evaluate and save where it is due."""
         if not all_finite(state) or not np.isfinite(progress.episode_return):
             raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
@@ -156,19 +149,19 @@ class Trainer:
             cpu_seconds=time.process_time() - cpu_start,
         )  # fmt: skip
         self._write(progress)
-        if progress.iteration % config.evaluation_interval == 0 or progress.iteration >= self._last:
+        if progress.iteration % method.evaluation.interval == 0 or progress.iteration >= self._last:
             self._set("running", "evaluating")
-            self._evaluate(task, config, state, cpu_start)
+            self._evaluate(task, method, state, cpu_start)
             self._set("running", "saving")
             self._checkpoint(state, cpu_start)
         self._set("running", "collecting and learning")
 
-    def _evaluate(self, task: Task, config: Config, state: State, cpu_start: float) -> None:
+    def _evaluate(self, task: Task, method: Method, state: State, cpu_start: float) -> None:
         # Its own random numbers, so that what is learnt does not depend on how often it is evaluated.
         rng = np.random.default_rng([self._record.seed, state.iteration])
-        policy = state.learner.policy
-        sampled, rollout = evaluate(task, policy, state.phi, config.evaluation_episodes, rng, sampled=True)
-        mean, _ = evaluate(task, policy, state.phi, config.evaluation_episodes, rng, sampled=False)
+        policy = state.control.policy
+        sampled, rollout = evaluate(task, policy, state.phi, method.evaluation.episodes, rng, sampled=True)
+        mean, _ = evaluate(task, policy, state.phi, method.evaluation.episodes, rng, sampled=False)
         arrays = record_episode(task, rollout, state.phi)
         if state.explored is not None:
             arrays["population"] = state.explored[:SHOWN_DESIGNS]
@@ -283,11 +276,11 @@ def apply_edit(command: AnyCommand, state: State, task: Task) -> str:
     space = state.design_space
     match command:
         case protocol.SetAlpha(alpha=alpha):
-            check_field("alpha", alpha)
+            check_value("alpha", NotNegative, alpha)
             state.alpha = float(alpha)
             return f"alpha is {alpha:g}"
         case protocol.SetProjection(projection=rule):
-            check_field("projection", rule)
+            check_value("projection", Projection, rule)
             state.projection = rule
             return f"projection is {rule}"
         case protocol.SetBound(name=name, lo=lo, hi=hi):

@@ -17,7 +17,7 @@ from morph_core.design import DesignSpace
 from morph_core.protocol import Parameter, Parent, RunRecord
 from morph_core.run_folder import RunFolder, RunFolderError, create_run, new_run_id
 from morph_core.task import check_settings
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 
 MAX_ITERATIONS = 1_000_000
 _PACKAGES = ("morph-studio", "numpy", "torch", "mujoco", "cma", "viser")

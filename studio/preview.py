@@ -5,7 +5,7 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from studio.viewer import shapes
 from studio.viewer.figure import Figure
 from studio.viewer.scene import OBLIQUE, is_flat, screen_axes

@@ -30,7 +30,7 @@ from morph_core.run_folder import (
     process_alive,
     still_beating,
 )
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from studio.commands import check_command
 from studio.new_run import MAX_ITERATIONS, check_whole, prepare_run
 from studio.trainers import spawn_trainer

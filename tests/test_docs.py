@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from morph_core.tasks import TASKS
+from morph_core.catalogue import TASKS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

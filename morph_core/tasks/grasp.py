@@ -1,16 +1,23 @@
 """What the hands' tasks share: control, observation, and the paper's reward for lifting and pressing."""
 
-import typing
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import mujoco
 import numpy as np
 
-from morph_core.config import Config, Exploration
+from morph_core.config import NotNegative, Settings
 from morph_core.design import DesignSpace
-from morph_core.task import Hardware, Transition
+from morph_core.explorations.design import Design
+from morph_core.methods.direct import Direct
+from morph_core.methods.no_hw_opt import NoHwOpt
+from morph_core.methods.proxy import Morph
+from morph_core.parts import Ppo, ProxyFit, Schedule
+from morph_core.searches.cma import Cma
+from morph_core.searches.drift import Drift
+from morph_core.spread import ExploredDesigns
+from morph_core.task import Hardware, Task, Transition
 from morph_core.tasks import palette
 from morph_core.tasks.hand import OBJECT_CONTACT, TABLE_CONTACT, Hand
 from morph_core.tasks.printed import Servo
@@ -27,9 +34,27 @@ Grasp = Literal["any_two", "two_besides_presser"]
 Z_PALM, Z_JOINT, Z_POSITION, Z_ROTATION = 0.03, 0.15, 0.02, 0.1
 """m, rad, m, rad: typical changes in a control step, the units of z."""
 
+# What works for the hands; docs/hands.md has the figures.
+_DESIGNS = ExploredDesigns(sigma=1.0, sigma_end=0.2, hold=0.4, correlation=0.5, utility="log_rank", advantage_limit=5.0)
+_NO_HW_OPT = NoHwOpt(
+    hidden=128,
+    schedule=Schedule(iterations=80),
+    ppo=Ppo(gamma=0.97, minibatches=5, entropy_coef=0.003, std=0.6, std_end=0.3, restart_interval=30),
+)
+_DIRECT = Direct(**vars(_NO_HW_OPT), step=0.5, freeze_success=0.5, designs=_DESIGNS)
+_MORPH = Morph(
+    **vars(_NO_HW_OPT),
+    design_interval=2,
+    freeze_success=0.5,
+    proxy=ProxyFit(prefit=10, pairs=1024),
+    exploration=Design(**vars(_DESIGNS), kappa=1.0, drift_clip=0.2),
+    search=Drift(pairs=256, drift_clip=0.2, ridge=1.0),
+)
+_CMA = Cma(pairs=256, population=10, generations=6)
+
 
 @dataclass(frozen=True)
-class GraspTask(ABC):
+class GraspTask(Settings, Task, ABC):
     """A hand that grasps an object, lifts it and presses its button. Stateless; its subclasses say which object.
 
     An action changes the targets of the palm's and the fingers' servos, ten times a second.
@@ -39,72 +64,59 @@ class GraspTask(ABC):
     """In hand = risen, with two fingers on object or button; or, strictly, two on the body besides the presser."""
     servo: Servo = "none"
     """For which the palm has pockets, one above each finger: they cost mass, and fingers need more room."""
-    initial_length: float = 0.12
+    initial_length: NotNegative = 0.12
     """m: both links of every finger of the initial design."""
-    lift_height: float = 0.05
+    lift_height: NotNegative = 0.05
     """m: this far above the table, the object is in the hand if enough fingers touch it."""
-    goal_height: float = 0.30
+    goal_height: NotNegative = 0.30
     """m: p_goal is this high above the middle of the table."""
-    distance_weight: float = 0.3
+    distance_weight: NotNegative = 0.3
     """Reward per metre between object and p_goal (enters with a minus), never more than at the start: where a shove
     costs, and almost every touch first is one, the policy learns to avoid the object."""
-    contact_weight: float = 0.3
+    contact_weight: NotNegative = 0.3
     """beta_0: reward while a distal link touches the button and the object is off the table. A larger one, or one
     on the table, presses the button there for ever."""
-    height_weight: float = 8.0
+    height_weight: NotNegative = 8.0
     """beta_1: reward per metre between object and table, up to `height_limit`."""
-    height_limit: float = 0.27
+    height_limit: NotNegative = 0.27
     """m."""
-    goal_bonus: float = 10.0
+    goal_bonus: NotNegative = 10.0
     """beta_2: reward while a distal link presses the button and the object is in the hand."""
-    reward_scale: float = 0.2
+    reward_scale: NotNegative = 0.2
     """All of the above are multiplied by it."""
-    palm_step: float = 0.05
+    palm_step: NotNegative = 0.05
     """m: the largest change of the palm's target."""
-    joint_step: float = 0.3
+    joint_step: NotNegative = 0.3
     """rad: the largest change of a joint's target."""
-    initial_closing: float = 0.3
+    initial_closing: NotNegative = 0.3
     """How fast an untrained policy moves the proximal joints inward, as a share of `joint_step`. Flailing about the
     start posture lifts the object in none of 256 episodes, closing and rising in one of seven at .26 m."""
-    initial_curling: float = 0.1
+    initial_curling: NotNegative = 0.1
     """The same of the distal joints."""
-    initial_rising: float = 0.15
+    initial_rising: NotNegative = 0.15
     """How fast it moves the palm upward, as a share of `palm_step`."""
-    start_noise: float = 0.01
+    start_noise: NotNegative = 0.01
     """m: the object starts this far off the middle at most, and turned by up to 5 rad per metre of it."""
 
-    horizon: int = field(default=40, init=False)
-    control_dt: float = field(default=TIMESTEP * SUBSTEPS, init=False)
-    z_scale: float = field(default=1.0, init=False)
-    z_unit: str = field(default="", init=False)
+    horizon: ClassVar[int] = 40
+    control_dt: ClassVar[float] = TIMESTEP * SUBSTEPS
+    z_scale: ClassVar[float] = 1.0
+    z_unit: ClassVar[str] = ""
 
     name: ClassVar[str]
     title: ClassVar[str]
     fingers: ClassVar[int]
-    explorations: ClassVar[tuple[Exploration, ...]] = ("design",)
+    runs_on_proxy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        for name, allowed in (("grasp", typing.get_args(Grasp)), ("servo", typing.get_args(Servo))):
-            if getattr(self, name) not in allowed:
-                raise ValueError(f'unknown {name} "{getattr(self, name)}"; choose from: {", ".join(allowed)}')
-        for name, value in vars(self).items():
-            if name in ("grasp", "servo", "z_unit"):
-                continue
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < np.inf:
-                raise ValueError(f"{name} must be a finite number, not negative, and is {value!r}")
+        super().__post_init__()
         low, high = self.hand.design_space.lo[-1], self.hand.design_space.hi[-1]
         if not low <= self.initial_length <= high:
             raise ValueError(f"initial_length must lie inside [{low:g}, {high:g}] m, not {self.initial_length:g}")
 
     @property
-    def config(self) -> Config:
-        return Config(
-            gamma=0.97, minibatches=5, entropy_coef=0.003, hidden=128, policy_std=0.6, policy_std_end=0.3,
-            restart_interval=30, utility="log_rank", advantage_limit=5.0, design_correlation=0.5,
-            design_sigma=1.0, design_sigma_end=0.2, schedule_hold=0.4, direct_step=0.5, search="drift",
-            design_interval=2, proxy_pairs=1024, search_pairs=256, search_population=10, search_generations=6,
-            proxy_prefit=10, kappa=1.0, schedule_iterations=80, freeze_success=0.5, drift_clip=0.2, drift_ridge=1.0,
-        )  # fmt: skip
+    def tuned(self) -> tuple[Settings, ...]:
+        return (_MORPH, _DIRECT, _NO_HW_OPT, _CMA)
 
     @property
     @abstractmethod

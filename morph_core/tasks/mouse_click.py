@@ -8,6 +8,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from morph_core.config import NotNegative
 from morph_core.tasks import palette
 from morph_core.tasks.grasp import OBJECT_FRICTION, GraspTask, add_button, add_free_body
 from morph_core.tasks.hand import OBJECT_CONTACT, Hand
@@ -32,17 +33,17 @@ class MouseClick(GraspTask):
     the hand, 5 cm above the table with two fingers on it, or two besides the one that presses.
     """
 
-    length: float = 0.62
+    length: NotNegative = 0.62
     """m: from rear to front."""
-    width: float = 0.46
+    width: NotNegative = 0.46
     """m: fingers of the initial design reach no further down than its shoulders; those of .2 m get round them."""
-    height: float = 0.14
+    height: NotNegative = 0.14
     """m."""
-    mass: float = 0.4
+    mass: NotNegative = 0.4
     """kg: of the mouse without its button. Half of it can be lifted without learning to squeeze."""
-    travel: float = 0.015
+    travel: NotNegative = 0.015
     """m: of the button."""
-    stiffness: float = 60.0
+    stiffness: NotNegative = 60.0
     """N/m: of the button's spring."""
 
     name: ClassVar[str] = "mouse_click"

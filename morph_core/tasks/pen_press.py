@@ -6,6 +6,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from morph_core.config import NotNegative
 from morph_core.tasks import palette
 from morph_core.tasks.grasp import OBJECT_FRICTION, GraspTask, add_button, add_free_body
 from morph_core.tasks.hand import OBJECT_CONTACT
@@ -23,15 +24,15 @@ class PenPress(GraspTask):
     the hand, 5 cm above the table with two fingers on it, or two besides the one that presses.
     """
 
-    half_length: float = 0.28
+    half_length: NotNegative = 0.28
     """m: the button reaches .32 m, beyond the fingers of the initial design (.30 m)."""
-    half_width: float = 0.03
+    half_width: NotNegative = 0.03
     """m."""
-    mass: float = 0.15
+    mass: NotNegative = 0.15
     """kg."""
-    travel: float = 0.02
+    travel: NotNegative = 0.02
     """m: of the button."""
-    stiffness: float = 60.0
+    stiffness: NotNegative = 60.0
     """N/m: of the button's spring."""
 
     name: ClassVar[str] = "pen_press"

@@ -1,16 +1,20 @@
 """The paper's reacher: a planar arm of five links that threads a zig-zag tunnel."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 import mujoco
 import numpy as np
+from msgspec import Meta
 
-from morph_core.config import Config, Exploration
+from morph_core.config import NotNegative, Settings
 from morph_core.design import DesignSpace
+from morph_core.methods.direct import Direct
+from morph_core.methods.no_hw_opt import NoHwOpt
+from morph_core.methods.proxy import Morph
 from morph_core.protocol import Parameter
-from morph_core.task import Hardware, Transition
+from morph_core.task import Hardware, Task, Transition
 from morph_core.tasks import palette
 from morph_core.tasks.printed import arm_link_inertial, set_inertial
 
@@ -131,7 +135,7 @@ class ForwardKinematics:
 
 
 @dataclass(frozen=True)
-class Reacher:
+class Reacher(Settings, Task):
     """Five links, base fixed; s = joint angles, tip, and whether the design can't start at all.
 
     Task: bring the tip into the goal behind a zig-zag tunnel; the whole arm collides with its walls, through the
@@ -145,55 +149,41 @@ class Reacher:
     """The tunnel: made for this project, or measured from the paper's figure."""
     z: Literal["joints", "tip"] = "joints"
     """What hardware puts out: all joint positions, or the paper's end-effector alone."""
-    action_scale: float = 0.2
+    action_scale: NotNegative = 0.2
     """rad: largest change of a joint angle per control step."""
-    start_noise: float = 0.05
+    start_noise: NotNegative = 0.05
     """rad: standard deviation of each joint angle at the start."""
-    sweep_resolution: float = 0.015
+    sweep_resolution: Annotated[float, Meta(ge=1e-3)] = 0.015
     """m: no point of the arm moves further than this between two postures tested for collision."""
-    distance_weight: float = 1.0
+    distance_weight: NotNegative = 1.0
     """Reward per metre between tip and goal (enters with a minus)."""
-    centre_weight: float = 0.5
+    centre_weight: NotNegative = 0.5
     """beta_0: reward per metre between tip and centre line, at most `centre_limit` (enters with a minus)."""
-    centre_limit: float = 4.0
+    centre_limit: NotNegative = 4.0
     """m: beyond this the distance to the centre line counts no more."""
-    collision_weight: float = 0.2
+    collision_weight: NotNegative = 0.2
     """beta_1: reward for a move that contact stops altogether (enters with a minus)."""
-    goal_bonus: float = 10.0
+    goal_bonus: NotNegative = 10.0
     """beta_2: reward for touching the goal."""
-    stuck_cost: float = 10.0
+    stuck_cost: NotNegative = 10.0
     """Cost of each step of a design whose start posture reaches into the tunnel or a wall."""
-    reward_scale: float = 0.02
+    reward_scale: NotNegative = 0.02
     """All of the above are multiplied by it: returns of order one suit the critic."""
 
-    name: str = field(default="reacher", init=False)
-    title: str = field(default="5-link arm through a zig-zag tunnel", init=False)
-    horizon: int = field(default=60, init=False)
-    control_dt: float = field(default=0.1, init=False)
-    state_size: int = field(default=LINKS + 3, init=False)
-    observation_size: int = field(default=3 * LINKS + 2, init=False)
-    action_size: int = field(default=LINKS, init=False)
-    proxy_input_size: int = field(default=2 * LINKS, init=False)
-    z_scale: float = field(default=3.0, init=False)
-    z_unit: str = field(default="m", init=False)
-    explorations: tuple[Exploration, ...] = field(default=("design", "gaussian"), init=False)
-
-    def __post_init__(self) -> None:
-        if self.tunnel not in TUNNELS:
-            raise ValueError(f'unknown tunnel "{self.tunnel}"; choose from: {", ".join(sorted(TUNNELS))}')
-        if self.z not in ("joints", "tip"):
-            raise ValueError(f'unknown z "{self.z}"; choose from: joints, tip')
-        for name in ("action_scale", "start_noise", "distance_weight", "centre_weight", "centre_limit",
-                     "collision_weight", "goal_bonus", "stuck_cost", "reward_scale", "sweep_resolution"):  # fmt: skip
-            value = getattr(self, name)
-            if not isinstance(value, int | float) or not 0 <= value < np.inf:
-                raise ValueError(f"{name} must be a finite number, not negative, and is {value!r}")
-        if self.sweep_resolution < 1e-3:
-            raise ValueError(f"sweep_resolution must be at least 0.001 m, not {self.sweep_resolution!r}")
+    name: ClassVar[str] = "reacher"
+    title: ClassVar[str] = "5-link arm through a zig-zag tunnel"
+    horizon: ClassVar[int] = 60
+    control_dt: ClassVar[float] = 0.1
+    state_size: ClassVar[int] = LINKS + 3
+    observation_size: ClassVar[int] = 3 * LINKS + 2
+    action_size: ClassVar[int] = LINKS
+    proxy_input_size: ClassVar[int] = 2 * LINKS
+    z_scale: ClassVar[float] = 3.0
+    z_unit: ClassVar[str] = "m"
 
     @property
-    def config(self) -> Config:
-        return Config()
+    def tuned(self) -> tuple[Settings, ...]:
+        return (Morph(), Direct(), NoHwOpt())
 
     @property
     def design_space(self) -> DesignSpace:

@@ -5,7 +5,7 @@ import typing
 from fastapi import APIRouter, Response
 
 from morph_core.config import Method
-from morph_core.tasks import TASKS, make_task
+from morph_core.catalogue import TASKS, make_task
 from studio.api.messages import TaskInfo, TaskList, gives, gives_file, reply
 from studio.fields import fields_of
 from studio.preview import preview_svg

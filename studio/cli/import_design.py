@@ -70,7 +70,7 @@ def _send(history, phi: list[float]) -> int:
 
 
 def _start(arguments: ImportArguments, design) -> int:
-    from morph_core.tasks import make_task
+    from morph_core.catalogue import make_task
     from studio.cli.follow import follow
     from studio.export.design_file import starting_from
     from studio.new_run import prepare_run

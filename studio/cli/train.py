@@ -15,7 +15,7 @@ import tyro
 from morph_core.config import Config, Method, config_from
 from morph_core.history import History
 from morph_core.run_folder import RunFolder, process_alive
-from morph_core.tasks import TASKS, make_task
+from morph_core.catalogue import TASKS, make_task
 from studio.cli.arguments import RunsArguments, UsageError, parse
 from studio.cli.choice import open_run
 from studio.cli.follow import Outcome, follow

@@ -14,7 +14,7 @@ from morph_core.history import History
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
 from morph_core.task import Task
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from morph_core.tasks.grasp import GraspTask
 from studio.export.archive import zipped
 from studio.export.check import Check

@@ -4,7 +4,7 @@ import inspect
 import re
 
 from morph_core.history import History
-from morph_core.tasks import TASKS, make_task
+from morph_core.catalogue import TASKS, make_task
 from studio.fields import fields_of
 
 

@@ -18,7 +18,7 @@ from morph_core.exploration import episode_advantage
 from morph_core.rollout import Rollout
 from morph_core.state import State, start
 from morph_core.task import Task
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 
 
 @dataclass(frozen=True)

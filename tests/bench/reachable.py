@@ -13,7 +13,7 @@ import cma
 import numpy as np
 import tyro
 
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from morph_core.tasks.grasp import GraspTask
 
 

@@ -19,7 +19,7 @@ from morph_core.objective import improve_control, make_batch
 from morph_core.rollout import Rollout, collect
 from morph_core.state import State, start
 from morph_core.task import Task
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 
 
 @dataclass(frozen=True)

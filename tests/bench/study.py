@@ -23,7 +23,7 @@ from morph_core.episodes import evaluate
 from morph_core.protocol import Progress
 from morph_core.run_folder import RunFolder
 from morph_core.state import start
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from morph_core.train import METHODS
 
 FINAL_EPISODES = 256

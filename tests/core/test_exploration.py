@@ -25,7 +25,7 @@ from morph_core.exploration import (
 )
 from morph_core.rollout import Rollout
 from morph_core.state import State, start
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from tests.core.conftest import SMALL
 
 TASK = make_task("reacher")

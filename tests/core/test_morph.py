@@ -15,7 +15,7 @@ from morph_core.config import Config
 from morph_core.objective import cosine_by_parameter, fit_proxy
 from morph_core.protocol import Progress
 from morph_core.state import State, start
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from morph_core.train import METHODS
 from tests.core.conftest import Fragile
 

@@ -12,7 +12,7 @@ from morph_core.exploration import relabel_on_hardware
 from morph_core.objective import make_batch
 from morph_core.rollout import Act, Rollout, advantages, collect
 from morph_core.state import start
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from morph_core.tasks.reacher import LINKS, Reacher
 from tests.core.conftest import Fragile
 

@@ -18,7 +18,7 @@ from yourdfpy import URDF
 
 from morph_core.protocol import Acknowledged, Evaluation, Pause, Progress, Resume, SetAlpha, SetBound, StateChanged
 from morph_core.run_folder import RunFolder
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from studio.export.design_file import Design, Value
 
 pytestmark = pytest.mark.browser

@@ -23,7 +23,7 @@ from fastapi import FastAPI
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from studio.app import create_app
 from studio.bridge import MAX_MESSAGE
 from studio.export.bundle import Bundle

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from morph_core.history import History
 from morph_core.protocol import Parameter, SetBound
 from morph_core.run_folder import RunFolder
-from morph_core.tasks import TASKS, make_task
+from morph_core.catalogue import TASKS, make_task
 from studio.viewer.change import change_table
 from studio.viewer.parts import Unit, quantities_of, split_name, unit_of
 from studio.viewer.rules import rules_of, success_rule

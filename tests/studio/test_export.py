@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from studio.export.check import Check
 from studio.export.errors import ExportError
 from studio.export.mjcf import write_mjcf

@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from morph_core.tasks import TASKS
+from morph_core.catalogue import TASKS
 from studio.preview import preview_svg
 
 SVG = "{http://www.w3.org/2000/svg}"

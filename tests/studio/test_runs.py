@@ -28,7 +28,7 @@ from morph_core.protocol import (
     Unlock,
 )
 from morph_core.run_folder import EventLog, RunFolder, RunFolderError
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from studio.commands import check_command
 from studio.new_run import git_state, prepare_run
 from studio.runs import KEPT, Runs

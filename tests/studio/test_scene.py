@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import viser
 
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from studio.viewer import shapes
 from studio.viewer.figure import Figure, smooth
 from studio.viewer.scene import FIELD_OF_VIEW, Layer, camera

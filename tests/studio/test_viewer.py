@@ -31,7 +31,7 @@ from morph_core.protocol import (
     Unlock,
 )
 from morph_core.run_folder import EventLog, RunFolder, write_episode
-from morph_core.tasks import make_task
+from morph_core.catalogue import make_task
 from studio.viewer import StartRequest
 from studio.viewer.charts import MOST_POINTS, decimate
 from studio.viewer.take import Shot, make_take

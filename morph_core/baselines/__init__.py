@@ -1,1 +1,0 @@
-"""What MORPH is compared with: the same parts without the proxy."""

@@ -1,0 +1,70 @@
+"""What a method is: a frozen dataclass whose fields are its settings, and which yields one Progress per iteration."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from msgspec import Meta
+
+from morph_core.config import Count, Projection, Settings
+from morph_core.parts import Evaluation, Ppo, ProxyFit, Schedule
+from morph_core.protocol import Progress
+from morph_core.search import Memory
+from morph_core.task import Task
+
+if TYPE_CHECKING:
+    from morph_core.hw_nn import HwNN
+    from morph_core.state import State
+
+
+@dataclass(frozen=True)
+class Method(Settings, ABC):
+    """A way to find a design and its policy, built from the same parts as the others, so that a comparison compares
+    the methods and not their PPO."""
+
+    trajectories: Annotated[int, Meta(ge=2, multiple_of=2)] = 128
+    """H: episodes sampled per iteration; even, because designs are explored in antithetic pairs."""
+    hidden: Count = 64
+    """Width of both hidden layers of policy, critic and proxy."""
+    schedule: Schedule = Schedule()
+    """How learning rates and noises fall."""
+    ppo: Ppo = Ppo()
+    """How policy and critic learn."""
+    evaluation: Evaluation = Evaluation()
+    """How often success is measured."""
+
+    name: ClassVar[str]
+    """The word that chooses the method."""
+    title: ClassVar[str]
+    """The method in a sentence, for people."""
+
+    @property
+    def proxy_fit(self) -> ProxyFit | None:
+        """Return how the proxy is fitted; None for a method without a proxy."""
+        return None
+
+    @property
+    def steering(self) -> tuple[float, Projection]:
+        """Return alpha and the projection rule with which a run starts; users may change both while it runs."""
+        return 0.0, "none"
+
+    def memory(self, proxy: "HwNN") -> Memory:
+        """Return what the method's search for phi keeps from one iteration to the next, as it is at the start."""
+        return Memory()
+
+    def check(self, task: Task) -> None:
+        """Raise ValueError with the reason where the task can't be run so."""
+        return
+
+    def rules(self) -> str:
+        """Return in a few words, for people, how phi is found."""
+        return self.title
+
+    @abstractmethod
+    def iterations(self, task: Task, state: "State") -> Iterator[Progress]:
+        """Yield one Progress per iteration, for ever; between two of them `state` is the caller's to read and to edit.
+
+        Nothing in it prints, logs, saves or sleeps, and it leaves `state` whole, so that pausing, saving, resuming
+        and editing need nothing from it.
+        """

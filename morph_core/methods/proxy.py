@@ -1,0 +1,68 @@
+"""MORPH: the method of the paper, which learns a proxy of the hardware."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from morph_core.config import Count, NotNegative, Projection, Share
+from morph_core.exploration import Exploration
+from morph_core.explorations.design import Design
+from morph_core.method import Method
+from morph_core.morph import morph
+from morph_core.parts import ProxyFit
+from morph_core.protocol import Progress
+from morph_core.search import Memory, Search
+from morph_core.searches.cma import Cma
+from morph_core.task import Task
+
+if TYPE_CHECKING:
+    from morph_core.hw_nn import HwNN
+    from morph_core.state import State
+
+
+@dataclass(frozen=True)
+class Morph(Method):
+    """The paper's method, Algorithm 1: policy and hardware proxy learn together, and phi follows the proxy."""
+
+    design_interval: Count = 1
+    """K: iterations between two searches for phi."""
+    alpha: NotNegative = 1.0
+    """alpha: weight of the divergence between proxy and Hw-Phy in Eq. 2."""
+    projection: Projection = "none"
+    """What happens to g_task where it conflicts with g_hw: the rule of the gradient projection."""
+    freeze_success: Share = 0.0
+    """From this share of successful trajectories on, phi is frozen and every episode runs on it. Among episodes that
+    all succeed, ranking is noise and would move phi at random. 0: never."""
+    proxy: ProxyFit = ProxyFit()
+    """How the proxy is fitted."""
+    exploration: Exploration = Design()
+    """How z is explored: `design` draws designs around phi on Hw-Phy, `gaussian` is the paper's noise on the proxy's
+    z."""
+    search: Search = Cma()
+    """How phi is searched for (Eq. 3): `cma` is CMA-ES on the divergence, `gradient` its gradient where Hw-Phy is
+    differentiable, `drift` least squares on what the task asks of the proxy, where contact makes the divergence
+    rough."""
+
+    name: ClassVar[str] = "morph"
+    title: ClassVar[str] = "policy and hardware proxy learn together, φ follows the proxy"
+
+    @property
+    def proxy_fit(self) -> ProxyFit:
+        return self.proxy
+
+    @property
+    def steering(self) -> tuple[float, Projection]:
+        return self.alpha, self.projection
+
+    def memory(self, proxy: "HwNN") -> Memory:
+        return self.search.memory(proxy)
+
+    def check(self, task: Task) -> None:
+        self.exploration.check(task)
+        self.search.check(task)
+
+    def rules(self) -> str:
+        return f"z explored by {self.exploration.name}, φ searched by {self.search.name}, projection {self.projection}"
+
+    def iterations(self, task: Task, state: "State") -> Iterator[Progress]:
+        return morph(task, self, state)

@@ -1,0 +1,119 @@
+"""Search `drift`: least squares on how far the task draws the proxy away from Hw-Phy, where contact is rough."""
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import numpy as np
+from msgspec import Meta
+
+from morph_core.config import NotNegative, Positive
+from morph_core.design import DesignSpace
+from morph_core.divergence import limited
+from morph_core.search import Dataset, Memory, Problem, Search
+
+if TYPE_CHECKING:
+    from morph_core.hw_nn import HwNN
+
+_SMALLEST_CHANGE = 1e-3
+"""Of z between two designs, in units of z: keeps a component that nothing changes from being divided by 0."""
+
+
+@dataclass(frozen=True)
+class Drift(Search):
+    """Least squares of the drift of the proxy on dz/dphi, averaged over explored designs: where contact makes the
+    divergence rough, every candidate costs more than the present phi, and a search for the least cost stands still."""
+
+    drift_clip: NotNegative = 0.0
+    """Differences between two designs' z count up to this, in units of z: a larger one compares a state in contact
+    with one that is free. 0: no limit."""
+    designs: Annotated[int, Meta(ge=4, multiple_of=4)] = 24
+    """Designs, in two halves of antithetic pairs, over which dz/dphi is averaged."""
+    ridge: NotNegative = 0.2
+    """Ridge of the least squares, as a share of the mean curvature."""
+    limit: Positive = 1.5
+    """The longest step, in units of the explored Sigma."""
+
+    name: ClassVar[str] = "drift"
+
+    def memory(self, hw_nn: "HwNN") -> "Twin":
+        return Twin(copy.deepcopy(hw_nn))
+
+    def candidates(self, problem: Problem) -> np.ndarray:
+        """Return the one phi to which the drift leads, however rough the divergence is on the way.
+
+        With J1, J2 two independent estimates of dz/dphi, each averaged over half of the designs, solve
+        ((J1'J2 + J2'J1) / 2 + ridge) x = (J1 + J2)' drift / 2. J'J of one estimate would be too large by the variance
+        of its noise. The derivative is averaged over many designs, because at a single one contact makes it
+        meaningless. All is in units of the explored designs' spread, in which the ridge prefers the directions they
+        vary in.
+        """
+        if not isinstance(problem.memory, Twin):
+            raise ValueError("the search drift needs the memory that it made before the first iteration")
+        space, spread, dataset = problem.space, problem.spread, problem.dataset
+        # dz for pairs of designs phi +- spread
+        rng = np.random.default_rng(problem.seed)
+        noise = spread.noise(space, self.designs // 2, rng)
+        offset = spread.sigma * space.scale * noise
+        pairs = space.clip(problem.start + np.concatenate([offset, -offset]))
+        z = problem.physics.z(dataset.s, dataset.a, pairs)
+        change = limited(np.nan_to_num(z[: len(noise)] - z[len(noise) :]) / 2, self.drift_clip)  # (P, n, z_size)
+        # every component of z in units of its own change: contact shakes some more than others
+        unit = np.sqrt((change**2).mean((0, 1))) + _SMALLEST_CHANGE
+        drift = limited(problem.memory.drift(dataset), self.drift_clip) / unit
+        change = (change / unit).reshape(len(noise), -1)
+        # the two estimates J1, J2 of dz/dphi, by regression on whitened noise
+        free = space.free
+        whiten = np.linalg.cholesky(_correlations(space, spread.correlation)[np.ix_(free, free)])
+        white = np.linalg.solve(whiten, noise[:, free].T).T
+        first, second = (change[half::2].T @ white[half::2] / len(white[half::2]) for half in (0, 1))  # (n z_size, f)
+        # least squares with a ridge, and a limit to its step
+        curvature = (first.T @ second + second.T @ first) / 2
+        pull = (first + second).T @ drift.ravel() / 2
+        ridge = self.ridge * (np.sum(first**2) + np.sum(second**2)) / (2 * free.sum())
+        values, vectors = np.linalg.eigh(curvature)
+        step = vectors @ ((vectors.T @ pull) / np.maximum(values, ridge + 1e-12))
+        step *= min(1.0, self.limit / (np.linalg.norm(step) + 1e-12))
+        found = problem.start.copy()
+        found[free] += (spread.sigma * space.scale)[free] * (whiten @ step)
+        return space.clip(found)[None]
+
+
+@dataclass
+class Twin(Memory):
+    """A second proxy, trained on Hw-Phy without the task's gradient.
+
+    drift(s, a) = proxy(s, a) - reference(s, a) is how the task would like z to change.
+    """
+
+    reference: "HwNN"
+
+    @property
+    def learners(self) -> Mapping[str, "HwNN"]:
+        return {"reference": self.reference}
+
+    def drift(self, dataset: Dataset) -> np.ndarray:
+        """Return the drift (n, z_size) of a dataset that the proxy has labelled."""
+        return dataset.z - self.reference(dataset.s, dataset.a)
+
+    def proxy_was_fitted(self, hw_nn: "HwNN") -> None:
+        """Let the reference start as the proxy is."""
+        self.reference.copy_weights(hw_nn)
+
+    def learn(self, features: Any, target: Any) -> None:
+        self.reference.learn(features, target)
+
+    def phi_was_found(self, hw_nn: "HwNN") -> None:
+        """Copy the reference's weights and Adam moments into the proxy: phi has just followed their difference, so it
+        starts at zero again."""
+        hw_nn.copy_weights(self.reference)
+        hw_nn.copy_moments(self.reference)
+
+
+def _correlations(space: DesignSpace, correlation: float) -> np.ndarray:
+    """Return the correlations (d, d) of the noise of `Spread.noise`."""
+    matrix = np.eye(len(space))
+    for group in space.groups:
+        matrix[np.ix_(group, group)] += correlation * (1 - np.eye(group.sum()))
+    return matrix

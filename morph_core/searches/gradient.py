@@ -1,0 +1,42 @@
+"""Search `gradient`: descent on the divergence where Hw-Phy is differentiable, the paper's stated alternative."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from morph_core.config import Count
+from morph_core.search import Problem, Search
+from morph_core.task import Task
+
+
+@dataclass(frozen=True)
+class Gradient(Search):
+    """Projected gradient descent on the divergence; it needs a Hw-Phy that is differentiable in phi."""
+
+    steps: Count = 200
+    """Gradient steps per search."""
+
+    name: ClassVar[str] = "gradient"
+
+    def check(self, task: Task) -> None:
+        if not hasattr(task.hw_phy(task.design_space.initial), "jacobian"):
+            raise ValueError(f'the Hw-Phy of {task.name} has no gradient in phi: search by "cma" or "drift"')
+
+    def candidates(self, problem: Problem) -> np.ndarray:
+        return np.stack([problem.start, self._descended(problem)])
+
+    def _descended(self, problem: Problem) -> np.ndarray:
+        """Descend with the step 1 / L of the divergence's curvature L at the start."""
+        self.check(problem.physics.task)
+        dataset, phi, step = problem.dataset, problem.start, None
+        for _ in range(self.steps):
+            hw_phy = problem.physics.task.hw_phy(phi)
+            dz = hw_phy.jacobian(dataset.s, dataset.a)  # (n, z, d)  # pyright: ignore[reportAttributeAccessIssue]
+            residual = hw_phy(dataset.s, dataset.a) - dataset.z
+            if step is None:
+                curvature = 2 * np.einsum("nzi,nzj->ij", dz, dz) / len(residual)
+                step = 1 / max(np.linalg.eigvalsh(curvature)[-1], 1e-12)
+            gradient = 2 * np.einsum("nzi,nz->i", dz, residual) / len(residual)
+            phi = problem.space.clip(phi - step * gradient)
+        return phi
