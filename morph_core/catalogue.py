@@ -1,5 +1,6 @@
 """What there is to choose from, plug-ins included: tasks, methods, explorations and searches by name."""
 
+import contextlib
 import dataclasses
 import difflib
 from collections.abc import Callable, Mapping
@@ -8,7 +9,7 @@ from typing import Any, TypeVar
 from morph_core.config import Settings, check_value, flattened, kinds_of, paths_of, range_of
 from morph_core.contract import check_task
 from morph_core.exploration import Exploration
-from morph_core.format_1 import RENAMED, translated
+from morph_core.format_1 import RENAMED
 from morph_core.method import Method
 from morph_core.protocol import RunRecord
 from morph_core.registry import Broken, Registry
@@ -94,6 +95,27 @@ def _parts_of(settings: Settings) -> list[Settings]:
     return [value for value in values if isinstance(value, Settings)]
 
 
+def alternatives(part: Settings, kind: Any, task: Task) -> dict[str, Settings]:
+    """Return what the task can be given in a field with this annotation, by name, as the task has tuned it.
+
+    `part` is the present one. Empty for a field that leaves no choice.
+    """
+    found: dict[str, Settings] = {}
+    for name in choices_of(kind) or ():
+        other = _chosen(part, kind, name, task.tuned)
+        with contextlib.suppress(ValueError):
+            other.check(task)  # pyright: ignore[reportAttributeAccessIssue] - explorations and searches have it
+            found[name] = other
+    return found
+
+
+def _chosen(part: Settings, kind: Any, name: str, tuned: tuple[Settings, ...]) -> Settings:
+    """Return the exploration or search `name`: the present one, the one among `tuned`, or one with its defaults."""
+    registry: Any = choices_of(kind)
+    wanted = registry[name]
+    return next((settings for settings in (part, *tuned) if type(settings) is wanted), None) or wanted()
+
+
 def configured(base: S, settings: Mapping[str, object], tuned: tuple[Settings, ...] = ()) -> S:
     """Return `base` with settings under dotted names, or nested, applied.
 
@@ -113,14 +135,11 @@ def _with_parts(base: S, flat: Mapping[str, object], tuned: tuple[Settings, ...]
     """Return `base` with the parts that are chosen by name."""
     changes: dict[str, Settings] = {}
     for name, kind in _fields(base):
-        value, registry = getattr(base, name), choices_of(kind)
+        value, path = getattr(base, name), prefix + name
         if not isinstance(value, Settings):
             continue
-        path = prefix + name
-        wanted = flat.get(path)
-        if registry is not None and wanted is not None and wanted != getattr(value, "name", None):
-            part: Any = registry[str(wanted)]
-            value = next((settings for settings in tuned if type(settings) is part), None) or part()
+        if path in flat and choices_of(kind):
+            value = _chosen(value, kind, str(flat[path]), tuned)
         changes[name] = _with_parts(value, flat, tuned, f"{path}.")
     return dataclasses.replace(base, **changes)
 
@@ -159,7 +178,8 @@ def _refusal(name: str, allowed: list[str], chosen: Settings) -> str:
     owners = [other for other in registry or () if rest in dict(paths_of(registry[other]()))] if registry else []
     if owners:
         present = getattr(getattr(chosen, head), "name", "")
-        return f'"{name}" does nothing with {head} {present}, only with {" or ".join(owners)}; {list_of}'
+        inside = ", ".join(other for other in allowed if other.startswith(f"{head}."))
+        return f'"{name}" does nothing with {head} {present}, only with {" or ".join(owners)}; choose from: {inside}'
     others = [other for other in METHODS if name in dict(paths_of(METHODS[other]()))]
     if others and isinstance(chosen, Method):
         return f'"{name}" does nothing for {chosen.name}, only for {" or ".join(others)}; {list_of}'
@@ -172,7 +192,7 @@ def read_method(record: RunRecord) -> Method:
     kind: Any = METHODS[record.method]
     if record.format > 1:
         return configured(kind(), record.config)
-    recorded = translated(record.config)
+    recorded = record.config  # under today's names, but with all that did nothing
     chosen = {name: recorded[name] for name in ("exploration", "search") if name in recorded}
     allowed = dict(paths_of(_with_parts(kind(), chosen, ())))
     return configured(kind(), {name: value for name, value in recorded.items() if name in allowed})

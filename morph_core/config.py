@@ -48,6 +48,13 @@ def range_of(annotation: Any) -> tuple[Any, Meta | None]:
     return bare, next((m for m in more if isinstance(m, Meta)), None)
 
 
+def limits(meta: Meta | None) -> tuple[float | None, float | None]:
+    """Return the two ends of a range, whether they are in it or not; None where it has no such end."""
+    if meta is None:
+        return None, None
+    return meta.ge if meta.gt is None else meta.gt, meta.le if meta.lt is None else meta.lt
+
+
 def check_value(name: str, annotation: Any, value: object) -> object:
     """Return `value` as its annotation has it, a float for a whole number where one belongs.
 
@@ -73,7 +80,7 @@ def check_value(name: str, annotation: Any, value: object) -> object:
 
 
 def _check_range(name: str, meta: Meta, value: float) -> None:
-    lo, hi = meta.ge if meta.gt is None else meta.gt, meta.le if meta.lt is None else meta.lt
+    lo, hi = limits(meta)
     below = lo is not None and (value < lo if meta.gt is None else value <= lo)
     above = hi is not None and (value > hi if meta.lt is None else value >= hi)
     if below or above:
@@ -84,7 +91,7 @@ def _check_range(name: str, meta: Meta, value: float) -> None:
 
 def _allowed(meta: Meta) -> str:
     """Return the range in words, to follow "must"."""
-    lo, hi = meta.ge if meta.gt is None else meta.gt, meta.le if meta.lt is None else meta.lt
+    lo, hi = limits(meta)
     if lo is not None and hi is not None:
         return f"lie in {'[' if meta.gt is None else '('}{lo:g}, {hi:g}{']' if meta.lt is None else ')'}"
     if hi is not None:

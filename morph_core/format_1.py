@@ -48,6 +48,6 @@ freeze_success, exploration, search."""
 def translated(config: Mapping[str, object]) -> dict[str, object]:
     """Return settings of format 1 under today's dotted names, for every method, exploration and search at once.
 
-    Format 1 recorded all of them, whatever did something: `catalogue.read_method` takes what applies.
+    Format 1 recorded all of them, whether they did something or not.
     """
     return {new: value for old, value in config.items() for new in RENAMED.get(old, (old,))}

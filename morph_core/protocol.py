@@ -238,11 +238,15 @@ class Parent(msgspec.Struct, frozen=True):
     iteration: int
 
 
+FORMAT = 2
+"""The format of run.json that this version writes; it reads older ones, too."""
+
+
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """run.json: everything needed to run it again. Written once."""
 
     format: int = 1
-    """1: settings are one flat list; 2: nested, in parts."""
+    """Format 1 has the settings as one flat list, format 2 nested by part."""
     id: str
     task: str
     task_options: dict[str, object] = {}

@@ -106,10 +106,9 @@ class Registry(Generic[T]):
         return {name: by_name[name] for name in (*self._first, *sorted(by_name.keys() - {*self._first}))}
 
     def _classes_in(self, module: ModuleType) -> Iterator[type[T]]:
-        value: Any
         for value in vars(module).values():
             if inspect.isclass(value) and value.__module__ == module.__name__ and self._is_one(value):
-                yield value
+                yield typing.cast(type[T], value)
 
     def _is_one(self, value: type) -> bool:
         return isinstance(value.__dict__.get("name"), str) and self._inherits(value)

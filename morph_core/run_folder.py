@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 import psutil
 
-from morph_core import protocol
+from morph_core import format_1, protocol
 from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Order, RunRecord, Status
 
 HEARTBEAT_BYTES = 4096
@@ -69,11 +69,14 @@ class RunFolder:
     def record(self) -> RunRecord:
         """Raise RunFolderError if run.json is missing, foreign or damaged."""
         try:
-            return protocol.decode_record((self.path / "run.json").read_bytes())
+            record = protocol.decode_record((self.path / "run.json").read_bytes())
         except FileNotFoundError:
             raise RunFolderError(f"{self.id} has no run.json: not a run folder") from None
         except (OSError, msgspec.DecodeError) as error:
             raise RunFolderError(f"run.json of {self.id} can't be read: {error}") from error
+        if record.format == 1:
+            return msgspec.structs.replace(record, config=format_1.translated(record.config))
+        return record
 
     def read_events(self, offset: int = 0) -> tuple[list[AnyEvent], int]:
         """Return whole events from byte `offset` on, and the offset to go on from.

@@ -4,7 +4,7 @@ import math
 
 import msgspec
 
-from morph_core.config import check_field
+from morph_core.config import NotNegative, Projection, check_value
 from morph_core.design import DesignSpace
 from morph_core.protocol import AnyCommand, InjectDesign, Lock, SetAlpha, SetBound, SetProjection, Unlock
 from morph_core.task import Task
@@ -18,9 +18,9 @@ def check_command(command: AnyCommand, space: DesignSpace, task: Task) -> AnyCom
         raise ValueError(f"this is no command: {error}") from error
     match command:
         case SetAlpha(alpha=alpha):
-            check_field("alpha", alpha)
+            check_value("alpha", NotNegative, alpha)
         case SetProjection(projection=projection):
-            check_field("projection", projection)
+            check_value("projection", Projection, projection)
         case SetBound(name=name, lo=lo, hi=hi):
             space.with_bound(name, lo, hi)
         case Lock(name=name, value=value):

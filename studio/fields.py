@@ -1,4 +1,4 @@
-"""The fields of a dataclass as a form needs them: type, choices, default, and the docstring under each."""
+"""What can be set, as a form needs it: names, types, ranges, choices, defaults, and the docstring under each field."""
 
 import ast
 import dataclasses
@@ -7,36 +7,76 @@ import inspect
 import itertools
 import textwrap
 import typing
+from collections.abc import Iterator
 
 import msgspec
 
+from morph_core.catalogue import alternatives
+from morph_core.config import Settings, kinds_of, limits, range_of
+from morph_core.method import Method
+from morph_core.task import Task
 
-class Field(msgspec.Struct, frozen=True):
+
+class Field(msgspec.Struct, frozen=True, kw_only=True):
     """One setting."""
 
     name: str
+    """Dotted where it belongs to a part: `search.ridge`."""
     type: str
     default: object
     choices: list[object] | None = None
     doc: str = ""
+    lo: float | None = None
+    """The smallest value that is allowed, or the one above which it must lie."""
+    hi: float | None = None
+    """The largest value that is allowed."""
+    only_with: str | None = None
+    """The choice of the field before the dot with which this one can be set; None: with any."""
 
 
-def fields_of(instance: typing.Any) -> list[Field]:
+def fields_of(instance: object) -> list[Field]:
     """Return what can be set in a dataclass, with the values of `instance` as defaults."""
-    kind = type(instance)
-    hints, docs = typing.get_type_hints(kind), _docs(kind)
-    found = []
-    for field in dataclasses.fields(kind):
-        if field.init:
-            choices = list(typing.get_args(hints[field.name])) or None
-            default = getattr(instance, field.name)
-            name = type(default).__name__ if choices else getattr(hints[field.name], "__name__", "object")
-            found.append(Field(field.name, name, default, choices, docs.get(field.name, "")))
-    return found
+    return [
+        _field(instance, field.name, field.name) for field in dataclasses.fields(typing.cast(typing.Any, instance))
+        if field.init
+    ]  # fmt: skip
+
+
+def settings_of(method: Method, task: Task) -> list[Field]:
+    """Return every setting of a method for a task, those of each exploration and search that can be chosen, too."""
+    return list(_settings(method, task, "", None))
+
+
+def _settings(settings: Settings, task: Task, prefix: str, only_with: str | None) -> Iterator[Field]:
+    kinds = kinds_of(type(settings))
+    for field in dataclasses.fields(settings):
+        value, path = getattr(settings, field.name), prefix + field.name
+        if not isinstance(value, Settings):
+            yield msgspec.structs.replace(_field(settings, field.name, path), only_with=only_with)
+            continue
+        choices = alternatives(value, kinds[field.name], task)
+        if not choices:
+            yield from _settings(value, task, f"{path}.", only_with)
+            continue
+        present = typing.cast(typing.Any, value).name
+        doc = docs_of(type(settings)).get(field.name, "")
+        yield Field(name=path, type="str", default=present, choices=list(choices), doc=doc, only_with=only_with)
+        for name, part in choices.items():
+            yield from _settings(part, task, f"{path}.", name)
+
+
+def _field(instance: object, name: str, path: str) -> Field:
+    bare, meta = range_of(kinds_of(type(instance))[name])
+    default, choices = getattr(instance, name), list(typing.get_args(bare)) or None
+    kind = type(default).__name__ if choices else getattr(bare, "__name__", "object")
+    lo, hi = limits(meta)
+    return Field(
+        name=path, type=kind, default=default, choices=choices, doc=docs_of(type(instance)).get(name, ""), lo=lo, hi=hi
+    )
 
 
 @functools.cache
-def _docs(kind: type) -> dict[str, str]:
+def docs_of(kind: type) -> dict[str, str]:
     """Return the string that follows each annotated field in the source, inherited ones too; Python keeps none."""
     docs: dict[str, str] = {}
     for base in reversed(kind.__mro__):
@@ -56,5 +96,5 @@ def _docs_in_source(kind: type) -> dict[str, str]:
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(after, ast.Expr):
             text = after.value
             if isinstance(text, ast.Constant) and isinstance(text.value, str):
-                docs[field.target.id] = inspect.cleandoc(text.value)
+                docs[field.target.id] = " ".join(text.value.split())
     return docs

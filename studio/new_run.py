@@ -1,23 +1,20 @@
 """A new run: its settings checked, its record written, with what would be needed to run it again."""
 
 import contextlib
-import dataclasses
 import importlib.metadata
 import platform
 import subprocess
 import time
-import typing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 
-from morph_core.config import Method, config_from
+from morph_core.catalogue import make_method, make_task
+from morph_core.config import recorded
 from morph_core.design import DesignSpace
-from morph_core.protocol import Parameter, Parent, RunRecord
+from morph_core.protocol import FORMAT, Parameter, Parent, RunRecord
 from morph_core.run_folder import RunFolder, RunFolderError, create_run, new_run_id
-from morph_core.task import check_settings
-from morph_core.catalogue import make_task
 
 MAX_ITERATIONS = 1_000_000
 _PACKAGES = ("morph-studio", "numpy", "torch", "mujoco", "cma", "viser")
@@ -38,12 +35,9 @@ def prepare_run(
     """Create the folder of a new run, ready for a trainer; raise ValueError that says what is allowed."""
     try:
         chosen = make_task(task, task_options)
-        config = config_from(dict(settings or {}), chosen.config)
-        check_settings(chosen, config)
+        configured = make_method(method, chosen, settings)
     except (TypeError, OverflowError) as error:  # a list where a number belongs, 10**400 where a float does
         raise ValueError(f"a setting of {task} has the wrong type or size: {error}") from error
-    if method not in typing.get_args(Method):
-        raise ValueError(f'unknown method "{method}"; choose from: {", ".join(typing.get_args(Method))}')
     check_whole("seed", seed, 0, 2**32 - 1)
     check_whole("iterations", iterations, 1, MAX_ITERATIONS)
     space = chosen.design_space
@@ -53,13 +47,14 @@ def prepare_run(
     revision, dirty = git_state()
     base = new_run_id(task, method, seed)
     record = RunRecord(
+        format=FORMAT,
         id=base,
         task=task,
         task_options=dict(task_options or {}),
         method=method,
         seed=seed,
         iterations=iterations,
-        config=dataclasses.asdict(config),
+        config=recorded(configured),
         parameters=list(space.parameters),
         versions=versions(),
         git_revision=revision,

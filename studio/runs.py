@@ -13,6 +13,7 @@ from pathlib import Path
 
 import msgspec
 
+from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.history import History
 from morph_core.protocol import (
@@ -30,7 +31,6 @@ from morph_core.run_folder import (
     process_alive,
     still_beating,
 )
-from morph_core.catalogue import make_task
 from studio.commands import check_command
 from studio.new_run import MAX_ITERATIONS, check_whole, prepare_run
 from studio.trainers import spawn_trainer

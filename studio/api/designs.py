@@ -6,10 +6,10 @@ from typing import Annotated
 import anyio.to_thread
 from fastapi import APIRouter, Query, Request, Response
 
+from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import InjectDesign
 from morph_core.run_folder import RunFolderError
-from morph_core.catalogue import make_task
 from studio.api.messages import (
     Accepted,
     Checked,

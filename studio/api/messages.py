@@ -18,7 +18,8 @@ Body = TypeVar("Body")
 
 
 class StartRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What to run. `settings` are fields of the config, `task_options` fields of the task; unset ones are defaults."""
+    """What to run. `settings` are those of the method under dotted names, such as `search.ridge`, or nested;
+    `task_options` are fields of the task; unset ones are defaults."""
 
     task: str
     method: str = "morph"
@@ -43,21 +44,37 @@ class TaskInfo(msgspec.Struct, frozen=True):
 
     name: str
     title: str
-    explorations: list[str]
-    """The ways of exploring z that it can be run with."""
     z_unit: str
     """Of the hardware's output, and so of the divergence; empty where each component is in its own typical unit."""
     options: list[Field]
     parameters: list[Parameter]
-    config: list[Field]
-    """The settings of a run, with the defaults that were found to work for this task."""
+    settings: dict[str, list[Field]]
+    """The settings of each method, with the defaults that were found to work for this task."""
+
+
+class MethodInfo(msgspec.Struct, frozen=True):
+    """A method: the word that chooses it, and a sentence."""
+
+    name: str
+    title: str
+
+
+class BrokenPlugin(msgspec.Struct, frozen=True):
+    """A plug-in that is installed and can't be used."""
+
+    group: str
+    """Its entry-point group, such as "morph.tasks"."""
+    name: str
+    package: str
+    reason: str
 
 
 class TaskList(msgspec.Struct, frozen=True):
     """Everything a form for a new run needs."""
 
     tasks: list[TaskInfo]
-    methods: list[str]
+    methods: list[MethodInfo]
+    broken: list[BrokenPlugin]
 
 
 class Accepted(msgspec.Struct, frozen=True):

@@ -1,33 +1,32 @@
 """GET /api/tasks: what can be run, with every choice and default."""
 
-import typing
-
 from fastapi import APIRouter, Response
 
-from morph_core.config import Method
-from morph_core.catalogue import TASKS, make_task
-from studio.api.messages import TaskInfo, TaskList, gives, gives_file, reply
-from studio.fields import fields_of
+from morph_core.catalogue import METHODS, TASKS, broken_plugins, make_method, make_task
+from studio.api.messages import BrokenPlugin, MethodInfo, TaskInfo, TaskList, gives, gives_file, reply
+from studio.fields import fields_of, settings_of
 from studio.preview import preview_svg
 
 
 def task_list() -> TaskList:
-    """Describe all tasks and methods."""
+    """Describe all tasks and methods, those of plug-ins too."""
     tasks = []
     for name in TASKS:  # in the order of the start panel: the page shows the first one
         task = make_task(name)
+        settings = {method: settings_of(make_method(method, task), task) for method in METHODS}
         tasks.append(
             TaskInfo(
                 name=name,
                 title=task.title,
-                explorations=list(task.explorations),
                 z_unit=task.z_unit,
                 options=fields_of(task),
                 parameters=list(task.design_space.parameters),
-                config=fields_of(task.config),
+                settings=settings,
             )
         )
-    return TaskList(tasks, list(typing.get_args(Method)))
+    methods = [MethodInfo(name, METHODS[name].title) for name in METHODS]
+    broken = [BrokenPlugin(b.group, b.name, b.package, b.reason) for b in broken_plugins()]
+    return TaskList(tasks, methods, broken)
 
 
 def tasks_router() -> APIRouter:

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import difflib
 import io
+import itertools
 import os
 import re
 import typing
@@ -50,18 +51,31 @@ def parse(kind: type[T], words: Sequence[str], command: str) -> T:
     raise UsageError(f"{command}: {_one_line(said.getvalue())}")
 
 
-def options(kind: type) -> Iterator[str]:
+def value_after(words: Sequence[str], option: str) -> str | None:
+    """Return what the words give for an option, before they can be parsed; None where it is not among them."""
+    for word, following in itertools.zip_longest(words, words[1:]):
+        if word == option:
+            return following
+        if word.startswith(option + "="):
+            return word.removeprefix(option + "=")
+    return None
+
+
+def options(kind: type, prefix: str = "") -> Iterator[str]:
     """Yield the flags that the fields of a dataclass become, those of nested dataclasses included."""
     hints = typing.get_type_hints(kind, include_extras=True)
     for entry in dataclasses.fields(kind):
         annotation = hints[entry.name]
-        bare = typing.get_args(annotation)[0] if typing.get_origin(annotation) is Annotated else annotation
-        if not entry.init or tyro.conf.Positional in getattr(annotation, "__metadata__", ()):
+        bare, marks = annotation, getattr(annotation, "__metadata__", ())
+        if typing.get_origin(annotation) is Annotated:
+            bare = typing.get_args(annotation)[0]
+        if not entry.init or tyro.conf.Positional in marks:
             continue
+        name = next((mark.name for mark in marks if getattr(mark, "name", None)), entry.name)
         if dataclasses.is_dataclass(bare) and isinstance(bare, type):
-            yield from options(bare)
+            yield from options(bare, prefix if tyro.conf.OmitArgPrefixes in marks else f"{prefix}{name}.")
         else:
-            yield "--" + entry.name.replace("_", "-")
+            yield "--" + (prefix + name).replace("_", "-")
 
 
 def _check_options(kind: type, words: Sequence[str]) -> None:

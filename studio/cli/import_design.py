@@ -8,7 +8,6 @@ from typing import Annotated
 
 import tyro
 
-from morph_core.config import Method
 from morph_core.protocol import InjectDesign
 from studio.cli.arguments import Count, RunsArguments, UsageError, parse
 from studio.cli.choice import open_run
@@ -26,12 +25,12 @@ class ImportArguments(RunsArguments):
     """Hand the design to this run, whose trainer is at work: it goes on from there."""
     start: bool = False
     """Start a new run from the design."""
-    method: Method = "morph"
-    """Of the new run."""
+    method: Annotated[str, tyro.conf.arg(metavar="METHOD")] = "morph"
+    """Method of the new run."""
     seed: int = 0
-    """Of the new run."""
+    """Seed of the new run."""
     iterations: Count = 100
-    """Of the new run."""
+    """Iterations of the new run."""
 
 
 def main(words: Sequence[str]) -> int:

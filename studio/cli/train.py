@@ -1,7 +1,5 @@
 """`morph-studio train`: co-optimise body and controller without a browser, or go on with a run."""
 
-import dataclasses
-import itertools
 import json
 import sys
 import time
@@ -12,13 +10,14 @@ from typing import Annotated, Any
 
 import tyro
 
-from morph_core.config import Config, Method, config_from
+from morph_core.catalogue import make_task, read_method
+from morph_core.config import paths_of
 from morph_core.history import History
 from morph_core.run_folder import RunFolder, process_alive
-from morph_core.catalogue import TASKS, make_task
-from studio.cli.arguments import RunsArguments, UsageError, parse
+from studio.cli.arguments import RunsArguments, UsageError, value_after
 from studio.cli.choice import open_run
 from studio.cli.follow import Outcome, follow
+from studio.cli.wanted import Wanted, parse_wanted
 from studio.new_run import prepare_run
 from studio.trainers import spawn_trainer
 
@@ -36,10 +35,6 @@ class TrainArguments(RunsArguments):
 
     task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")] = ""
     """The task; with --resume it may be left out."""
-    method: Method = "morph"
-    """MORPH, or one of its baselines."""
-    seed: int = 0
-    """Seed of all randomness."""
     iterations: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Iterations of a new run (100); with --resume, how many beyond the last recorded one (as planned)."""
     resume: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
@@ -49,10 +44,11 @@ class TrainArguments(RunsArguments):
 
 
 def main(words: Sequence[str]) -> int:
-    asked = _parse(words)
+    wanted = _asked(words)
+    asked = wanted.arguments
     if asked.iterations is not None and asked.iterations < 1:
         raise UsageError(f"train: --iterations must be at least 1, not {asked.iterations}")
-    folder, further = _resumed(asked) if asked.resume is not None else (_prepared(asked), None)
+    folder, further = _resumed(wanted) if asked.resume is not None else (_prepared(wanted), None)
     outcome = follow(folder, lambda: spawn_trainer(folder, further=further), quiet=asked.json)
     if asked.json:
         json.dump(_document(History(folder), outcome), sys.stdout, indent=2)
@@ -63,71 +59,22 @@ def main(words: Sequence[str]) -> int:
 # --- what was asked for -----------------------------------------------------------------------------------------------
 
 
-def _parse(words: Sequence[str]) -> Any:
-    """Return the arguments, among them the `config` and `options` of the task that they name.
-
-    Defaults depend on the task and its options, or on the run that is resumed: a value that differs from them was
-    given by the user.
-    """
-    task, resumed = _task_of(words), _value_after(words, "--resume")
-    if resumed is not None:
-        record = open_run(parse_runs(words), resumed).record
-        try:
-            options = make_task(record.task, record.task_options)
-            config = config_from(record.config)
-        except (TypeError, ValueError) as error:
-            raise UsageError(f"{resumed} can't be resumed: {error}") from error
-        return parse(_arguments(record.task, config, options, record.method, record.seed), words, "train")
-    defaults: Any = TASKS[task]()
-    first = parse(_arguments(task, defaults.config, defaults), words, "train")
-    if first.task not in TASKS:
-        said = f'unknown task "{first.task[:40]}"' if first.task else "a task is missing"
-        raise UsageError(f"{said}; choose from: {', '.join(sorted(TASKS))}")
-    return parse(_arguments(first.task, first.options.config, defaults), words, "train")
+def _asked(words: Sequence[str]) -> Wanted:
+    """Return what the words ask for; the flags of a run that is resumed are those it was started with."""
+    resumed = value_after(words, "--resume")
+    if resumed is None:
+        return parse_wanted(TrainArguments, words, "train")
+    named = value_after(words, "--runs")
+    record = open_run(Path(named) if named else RunsArguments().runs, resumed).record
+    try:
+        recorded = make_task(record.task, record.task_options), read_method(record), record.seed
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{resumed} can't be resumed: {error}") from error
+    return parse_wanted(TrainArguments, words, "train", recorded)
 
 
-def _task_of(words: Sequence[str]) -> str:
-    return next((word for word in words if word in TASKS), next(iter(TASKS)))
-
-
-def _value_after(words: Sequence[str], option: str) -> str | None:
-    for word, following in itertools.zip_longest(words, words[1:]):
-        if word == option:
-            return following
-        if word.startswith(option + "="):
-            return word.removeprefix(option + "=")
-    return None
-
-
-def parse_runs(words: Sequence[str]) -> Path:
-    """Return the folder of runs that the words name, before the rest of them can be read."""
-    named = _value_after(words, "--runs")
-    return Path(named) if named else RunsArguments().runs
-
-
-def _arguments(task: str, config: Config, options: Any, method: str = "morph", seed: int = 0) -> type:
-    """Return TrainArguments with the flags of the config and of the task."""
-    return dataclasses.make_dataclass(
-        "TrainArguments",
-        [
-            ("method", Method, method),
-            ("seed", int, seed),
-            ("config", tyro.conf.OmitArgPrefixes[Config], config),
-            ("options", tyro.conf.OmitArgPrefixes[TASKS[task]], options),
-        ],
-        bases=(TrainArguments,),
-        frozen=True,
-        namespace={"__doc__": TrainArguments.__doc__},
-    )
-
-
-def _given(chosen: Any, defaults: Any) -> dict[str, object]:
-    """Return the init fields of a dataclass that differ from `defaults`."""
-    names = [field.name for field in dataclasses.fields(chosen) if field.init]
-    return {name: getattr(chosen, name) for name in names if getattr(chosen, name) != getattr(defaults, name)}
-
-
-def _prepared(asked: Any) -> RunFolder:
+def _prepared(wanted: Wanted) -> RunFolder:
+    asked = wanted.arguments
     try:
         return prepare_run(
             asked.runs,
@@ -135,27 +82,25 @@ def _prepared(asked: Any) -> RunFolder:
             method=asked.method,
             seed=asked.seed,
             iterations=DEFAULT_ITERATIONS if asked.iterations is None else asked.iterations,
-            settings=_given(asked.config, asked.options.config),
-            task_options=_given(asked.options, TASKS[asked.task]()),
+            settings=wanted.settings,
+            task_options=wanted.task_options,
         )
     except (ValueError, OSError) as error:
         raise UsageError(f"train: {error}") from error
 
 
-def _resumed(asked: Any) -> tuple[RunFolder, int | None]:
+def _resumed(wanted: Wanted) -> tuple[RunFolder, int | None]:
     """Return the folder to go on with, and how many iterations beyond the last recorded one (None: as planned)."""
+    asked = wanted.arguments
     history = open_run(asked.runs, asked.resume)
     record, folder = history.record, history.folder
     if asked.task and asked.task != record.task:
         raise UsageError(f"{folder.id} is a run of the task {record.task}, not {asked.task}")
-    given = {
-        **_given(asked.config, config_from(record.config)),
-        **_given(asked.options, make_task(record.task, record.task_options)),
-        **({"method": asked.method} if asked.method != record.method else {}),
-        **({"seed": asked.seed} if asked.seed != record.seed else {}),
-    }
-    if given:
-        names = ", ".join("--" + name.replace("_", "-") for name in given)
+    recorded = dict(paths_of(read_method(record)))
+    given = [name for name in ("method", "seed") if getattr(asked, name) != getattr(record, name)]
+    given += [name for name, value in wanted.settings.items() if value != recorded.get(name)]
+    if given or wanted.task_options:
+        names = ", ".join("--" + name.replace("_", "-") for name in (*given, *wanted.task_options))
         raise UsageError(f"{folder.id} keeps what it was started with: leave out {names}, or start a new run")
     if _trainer_at_work(folder):
         raise UsageError(f"{folder.id} is {history.status}: its trainer is at work; watch it with morph-studio serve")

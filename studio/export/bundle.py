@@ -10,11 +10,12 @@ import msgspec
 import mujoco
 import numpy as np
 
+from morph_core.catalogue import make_task
+from morph_core.config import flattened
 from morph_core.history import History
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
 from morph_core.task import Task
-from morph_core.catalogue import make_task
 from morph_core.tasks.grasp import GraspTask
 from studio.export.archive import zipped
 from studio.export.check import Check
@@ -196,7 +197,7 @@ def _promised(history: History, recorded: Evaluation | None, policy: Policy) -> 
     """Return what training has measured with this very policy."""
     if recorded is None or policy.iteration != recorded.iteration:
         return []
-    episodes = history.record.config.get("evaluation_episodes")
+    episodes = flattened(history.record.config).get("evaluation.episodes")
     return [Score(episodes, recorded.sampled_success, "in training")] if isinstance(episodes, int) else []
 
 

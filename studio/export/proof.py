@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from manifold3d import Error, Manifold, Mesh64
 
-from morph_core.task import Task
 from morph_core.catalogue import make_task
+from morph_core.task import Task
 from studio.export.check import Check, worst
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
 from studio.export.meshes import read_three_mf, start_posture

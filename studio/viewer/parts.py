@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import Parameter
-from morph_core.catalogue import make_task
 
 COLOURS = ("#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5aa9e6", "#d0342c", "#7a828e")
 """Told apart on white and on black; the first ones also by most colour-blind people."""

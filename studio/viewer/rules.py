@@ -3,21 +3,19 @@
 import inspect
 import re
 
+from morph_core.catalogue import TASKS, make_task, read_method
 from morph_core.history import History
-from morph_core.catalogue import TASKS, make_task
 from studio.fields import fields_of
 
 
 def rules_of(history: History) -> list[str]:
     """Return sentences for people; fewer for a run of a task that is not there in this version."""
     record = history.record
-    exploration, search, projection = (record.config.get(key, "?") for key in ("exploration", "search", "projection"))
-    uses = {
-        "morph": f"z explored by {exploration}, φ searched by {search}, projection {projection}",
-        "direct": "φ follows the returns of the designs that are explored",
-        "no_hw_opt": "φ stays as it is",
-    }
-    lines = [f"Method {record.method}" + (f": {uses[record.method]}." if record.method in uses else ".")]
+    try:
+        how = read_method(record).rules()
+    except ValueError:  # a method of another version, or of a package that is not installed
+        how = ""
+    lines = [f"Method {record.method}: {how}." if how else f"Method {record.method}."]
     options = options_of(record.task, record.task_options)
     if options:
         lines.append("Options: " + ", ".join(f"{name} {value}" for name, value in options.items()) + ".")

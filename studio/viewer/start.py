@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import viser
 
+from morph_core.catalogue import TASKS, make_task
 from morph_core.config import Method, Projection, config_from
 from morph_core.protocol import Parameter
 from morph_core.task import check_settings
-from morph_core.catalogue import TASKS, make_task
 from studio.export.design_file import DESIGN_TYPES, Design, phi_for, read_design, starting_from
 from studio.fields import fields_of
 from studio.viewer import wording

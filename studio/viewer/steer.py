@@ -4,7 +4,7 @@ import typing
 
 import viser
 
-from morph_core.config import Projection, check_field
+from morph_core.config import NotNegative, Projection, check_value
 from morph_core.history import History
 from morph_core.protocol import Acknowledged, AnyCommand, SetAlpha, SetProjection, Status
 from studio.viewer.run import NOT_LIVE, Send
@@ -40,8 +40,8 @@ class SteerPanel:
     def commands(self) -> list[AnyCommand]:
         """Return what the form changes. Raise ValueError with a sentence if a value is not allowed."""
         alpha, projection = self.alpha.value, self.projection.value
-        check_field("alpha", alpha)
-        check_field("projection", projection)
+        check_value("alpha", NotNegative, alpha)
+        check_value("projection", Projection, projection)
         in_force = self._in_force or (None, None)
         commands: list[AnyCommand] = [SetAlpha(alpha)] if alpha != in_force[0] else []
         return [*commands, SetProjection(projection)] if projection != in_force[1] else commands

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from morph_core.catalogue import make_task
 from morph_core.run_folder import RunFolder, read_episode
 from morph_core.task import Task
-from morph_core.catalogue import make_task
 from studio.export.errors import ExportError
 from studio.export.meshes import stl_files
 from studio.export.parts import dress, printed_parts

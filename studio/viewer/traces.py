@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 import viser
 
-from morph_core.history import History
 from morph_core.catalogue import make_task
+from morph_core.history import History
 from studio.viewer import wording
 from studio.viewer.change import change_table
 from studio.viewer.charts import Chart, Curves, Trace
