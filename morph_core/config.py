@@ -12,6 +12,9 @@ from msgspec import Meta
 Projection = Literal["none", "one_sided", "as_printed"]
 Utility = Literal["standardised", "log_rank"]
 
+LARGEST = 2**53
+"""The largest number, up to the sign: beyond it browsers and floats no longer tell whole numbers apart."""
+
 Count = Annotated[int, Meta(ge=1)]
 CountOrNone = Annotated[int, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
@@ -72,8 +75,10 @@ def check_value(name: str, annotation: Any, value: object) -> object:
         return value
     if isinstance(value, bool) or not isinstance(value, int if bare is int else int | float):
         raise ValueError(f"{name} must be {'a whole number' if bare is int else 'a number'}, not {value!r}")
-    if not math.isfinite(value):
+    if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{name} must be finite, not {value}")
+    if abs(value) > LARGEST:
+        raise ValueError(f"{name} must be {'at most ' if value > 0 else 'at least -'}{LARGEST}")
     if meta:
         _check_range(name, meta, value)
     return bare(value)

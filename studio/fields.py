@@ -47,6 +47,16 @@ def settings_of(method: Method, task: Task) -> list[Field]:
     return list(_settings(method, task, "", None))
 
 
+def chosen_fields(method: Method, task: Task) -> list[Field]:
+    """Return the settings that do something with the exploration and search that the method has."""
+    return [field for field in settings_of(method, task) if _applies(field, method)]
+
+
+def _applies(field: Field, method: Method) -> bool:
+    head = field.name.split(".")[0]
+    return field.only_with in (None, getattr(getattr(method, head), "name", None))
+
+
 def _settings(settings: Settings, task: Task, prefix: str, only_with: str | None) -> Iterator[Field]:
     kinds = kinds_of(type(settings))
     for field in dataclasses.fields(settings):

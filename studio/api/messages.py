@@ -52,13 +52,6 @@ class TaskInfo(msgspec.Struct, frozen=True):
     """The settings of each method, with the defaults that were found to work for this task."""
 
 
-class MethodInfo(msgspec.Struct, frozen=True):
-    """A method: the word that chooses it, and a sentence."""
-
-    name: str
-    title: str
-
-
 class BrokenPlugin(msgspec.Struct, frozen=True):
     """A plug-in that is installed and can't be used."""
 
@@ -73,8 +66,11 @@ class TaskList(msgspec.Struct, frozen=True):
     """Everything a form for a new run needs."""
 
     tasks: list[TaskInfo]
-    methods: list[MethodInfo]
+    methods: list[str]
+    method_titles: dict[str, str]
+    """Each method in a sentence."""
     broken: list[BrokenPlugin]
+    """The plug-ins that are installed and can't be used."""
 
 
 class Accepted(msgspec.Struct, frozen=True):

@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Response
 
 from morph_core.catalogue import METHODS, TASKS, broken_plugins, make_method, make_task
-from studio.api.messages import BrokenPlugin, MethodInfo, TaskInfo, TaskList, gives, gives_file, reply
+from studio.api.messages import BrokenPlugin, TaskInfo, TaskList, gives, gives_file, reply
 from studio.fields import fields_of, settings_of
 from studio.preview import preview_svg
 
@@ -24,9 +24,8 @@ def task_list() -> TaskList:
                 settings=settings,
             )
         )
-    methods = [MethodInfo(name, METHODS[name].title) for name in METHODS]
     broken = [BrokenPlugin(b.group, b.name, b.package, b.reason) for b in broken_plugins()]
-    return TaskList(tasks, methods, broken)
+    return TaskList(tasks, list(METHODS), {name: METHODS[name].title for name in METHODS}, broken)
 
 
 def tasks_router() -> APIRouter:

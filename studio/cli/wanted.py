@@ -13,7 +13,7 @@ from morph_core.config import paths_of
 from morph_core.method import Method
 from morph_core.task import Task
 from studio.cli.arguments import UsageError, options, parse, value_after
-from studio.fields import Field, docs_of, fields_of, settings_of
+from studio.fields import Field, chosen_fields, docs_of, fields_of
 
 DEFAULT_METHOD = "morph"
 _KINDS: dict[str, type] = {"int": int, "float": float, "str": str, "bool": bool}
@@ -63,14 +63,14 @@ def _method_of(words: Sequence[str], task: Task) -> Method:
     A choice that does not exist is left to the parser, which says what does.
     """
     name = value_after(words, "--method")
-    method = make_method(name if name in METHODS else DEFAULT_METHOD, task)
-    choices = {field.name: field.choices or [] for field in settings_of(method, task) if field.choices}
+    method = make_method(name if name and name in METHODS else DEFAULT_METHOD, task)
+    choices = {field.name: field.choices or [] for field in chosen_fields(method, task) if field.choices}
     wanted = {path: value_after(words, f"--{path.replace('_', '-')}") for path in choices}
     return make_method(method.name, task, {path: word for path, word in wanted.items() if word in choices[path]})
 
 
 def _parse(kind: type, words: Sequence[str], command: str, task: Task, method: Method, seed: int = 0) -> Wanted:
-    fields = [field for field in settings_of(method, task) if _applies(field, method)]
+    fields = chosen_fields(method, task)
     flags = _flags(kind, task, method, fields, seed)
     _check_settings(list(options(flags)), words, task, method)
     asked: Any = parse(flags, words, command)
@@ -84,12 +84,6 @@ def _parse(kind: type, words: Sequence[str], command: str, task: Task, method: M
             if found[field.name] != (usual.get(field.name) if _is_choice(field, fields) else field.default)
         },
     )  # fmt: skip
-
-
-def _applies(field: Field, method: Method) -> bool:
-    """Tell whether a setting does something with the exploration and search that the method has."""
-    head = field.name.split(".")[0]
-    return field.only_with in (None, getattr(getattr(method, head), "name", None))
 
 
 def _is_choice(field: Field, fields: Sequence[Field]) -> bool:

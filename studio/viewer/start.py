@@ -1,20 +1,19 @@
 """The start panel: everything a new run needs, and one button."""
 
 import math
-import typing
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import viser
 
-from morph_core.catalogue import TASKS, make_task
-from morph_core.config import Method, Projection, config_from
+from morph_core.catalogue import METHODS, TASKS, broken_plugins, make_method, make_task
 from morph_core.protocol import Parameter
-from morph_core.task import check_settings
+from morph_core.task import Task
 from studio.export.design_file import DESIGN_TYPES, Design, phi_for, read_design, starting_from
 from studio.fields import fields_of
 from studio.viewer import wording
 from studio.viewer.parts import shows_parts
+from studio.viewer.settings import SettingsForm
 from studio.viewer.take import Shot
 
 _MOST_ITERATIONS = 1_000_000
@@ -30,7 +29,7 @@ class StartRequest:
     seed: int
     iterations: int
     settings: dict[str, object]
-    """Fields of Config."""
+    """Settings of the method that differ from the defaults, under dotted names."""
     task_options: dict[str, object]
     """Fields of the task's dataclass."""
     parameters: list[Parameter] | None = None
@@ -53,32 +52,20 @@ class StartPanel:
         self._design: Design | None = None
         first = next(iter(TASKS))
         task = make_task(first)
-        config = task.config
         self.folder = gui.add_folder("New run")
         with self.folder:
             self.notice = gui.add_html("", visible=False)
             self.task = gui.add_dropdown("task", list(TASKS), initial_value=first, hint="What the robot has to do.")
             self.options = {name: self._add_options(gui, name) for name in TASKS}
-            self.method = gui.add_dropdown(
-                "method", list(typing.get_args(Method)), hint="morph is the paper's; the others are its baselines."
-            )
+            self.method = gui.add_dropdown("method", list(METHODS), hint=_methods_hint())
             self.seed = gui.add_number(
                 "seed", 0, min=0, max=_LARGEST_SEED, step=1, hint="The same seed gives the same run."
             )
             self.iterations = gui.add_number(
-                "iterations", config.schedule_iterations, min=1, max=_MOST_ITERATIONS, step=1
-            )
-            self.alpha = gui.add_number(
-                "α", config.alpha, min=0.0, step=0.1, hint="Weight of the divergence between proxy and Hw-Phy in Eq. 2."
-            )
-            self.projection = gui.add_dropdown(
-                "projection", list(typing.get_args(Projection)), initial_value=config.projection,
-                hint="What happens to the task's gradient where it conflicts with the hardware's.",
+                "iterations", _usual_iterations(task), min=1, max=_MOST_ITERATIONS, step=1,
+                hint="Each samples trajectories, learns from them, and searches for the next design.",
             )  # fmt: skip
-            self.exploration = gui.add_dropdown(
-                "exploration", list(task.explorations), initial_value=config.exploration,
-                hint="How the hardware's output z is explored.",
-            )  # fmt: skip
+            self.settings = SettingsForm(gui)
             self.start = gui.add_button("Start", color="green", icon=viser.Icon.PLAYER_PLAY)
             self.source = gui.add_html("", visible=False)
             self.bring = gui.add_upload_button(
@@ -88,6 +75,10 @@ class StartPanel:
             self.forget = gui.add_button("Start from the initial design", icon=viser.Icon.X, visible=False)
         self.start.on_click(lambda event: self.submit(event.client))
         self.task.on_update(lambda _: self._choose_task())
+        self.method.on_update(lambda _: self._choose_method())
+        self.settings.show(task, self.method.value)
+        if broken := broken_plugins():
+            self.tell("; ".join(f"plug-in left out: {plugin}" for plugin in broken), wording.AMBER)
         self.bring.on_upload(lambda event: self.take(event.target.value.content))
         self.forget.on_click(lambda _: self._start_from(None))
         for handles in self.options.values():
@@ -128,14 +119,8 @@ class StartPanel:
         """Return what the form says, or raise ValueError with a sentence that says what is allowed."""
         name, method = self.task.value, self.method.value
         task = make_task(name, self._task_options(name) if name in TASKS else None)
-        if method not in typing.get_args(Method):
-            raise ValueError(f'unknown method "{method}"; choose from: {", ".join(typing.get_args(Method))}')
-        settings: dict[str, object] = {
-            "alpha": self.alpha.value,
-            "projection": self.projection.value,
-            "exploration": self.exploration.value,
-        }
-        check_settings(task, config_from(settings, task.config))
+        settings = self.settings.settings() if method in METHODS else {}
+        make_method(method, task, settings)
         return StartRequest(
             task=name,
             method=method,
@@ -204,12 +189,22 @@ class StartPanel:
         for task, handles in self.options.items():
             for handle in handles.values():
                 handle.visible = task == chosen
-        task = make_task(chosen)
-        config = task.config
-        self.exploration.options = list(task.explorations)
-        self.alpha.value, self.projection.value = config.alpha, config.projection
-        self.exploration.value, self.iterations.value = config.exploration, config.schedule_iterations
+        self.iterations.value = _usual_iterations(make_task(chosen))
+        self._choose_method()
         self._on_preview()
+
+    def _choose_method(self) -> None:
+        if self.method.value in METHODS and self.task.value in TASKS:
+            self.settings.show(make_task(self.task.value), self.method.value)
+
+
+def _usual_iterations(task: Task) -> int:
+    """Return how many iterations a run of the task takes: as long as its schedule falls."""
+    return make_method(next(iter(METHODS)), task).schedule.iterations
+
+
+def _methods_hint() -> str:
+    return "; ".join(f"{name}: {METHODS[name].title}" for name in METHODS)
 
 
 def _whole(name: str, value: float, lowest: int, highest: int) -> int:

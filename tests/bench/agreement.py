@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
+from morph_core.derive import Search
 
 from morph_core import morph as method
-from morph_core.derive import Search
+from morph_core.catalogue import make_task
 from morph_core.exploration import episode_advantage
 from morph_core.rollout import Rollout
 from morph_core.state import State, start
 from morph_core.task import Task
-from morph_core.catalogue import make_task
 
 
 @dataclass(frozen=True)

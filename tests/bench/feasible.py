@@ -13,10 +13,10 @@ from typing import Literal
 import numpy as np
 import torch
 import tyro
+from morph_core.objective import improve_control, make_batch, set_learning_rates
 
 from morph_core.checkpoint import load_checkpoint
 from morph_core.networks import Policy
-from morph_core.objective import improve_control, make_batch, set_learning_rates
 from morph_core.rollout import collect
 from morph_core.run_folder import RunFolder
 from morph_core.state import start

@@ -19,11 +19,11 @@ import torch
 import tyro
 
 from morph_core import morph as method
+from morph_core.catalogue import make_task
 from morph_core.config import Config
 from morph_core.exploration import explored_world, run_trajectories
 from morph_core.rollout import Rollout
 from morph_core.state import start
-from morph_core.catalogue import make_task
 from morph_core.tasks.grasp import GraspTask
 from morph_core.tasks.simulation import SUBSTEPS, HandPhysics
 

@@ -12,14 +12,14 @@ import numpy as np
 import torch
 import tyro
 from gymnasium.vector import SyncVectorEnv
+from morph_core.objective import improve_control, make_batch
 
 import morph_core.envs  # noqa: F401 - registers the tasks
+from morph_core.catalogue import make_task
 from morph_core.config import Config
-from morph_core.objective import improve_control, make_batch
 from morph_core.rollout import Rollout, collect
 from morph_core.state import State, start
 from morph_core.task import Task
-from morph_core.catalogue import make_task
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,13 @@ import numpy as np
 import torch
 import tyro
 
+from morph_core.catalogue import make_task
 from morph_core.checkpoint import save_checkpoint
 from morph_core.config import Method, config_from
 from morph_core.episodes import evaluate
 from morph_core.protocol import Progress
 from morph_core.run_folder import RunFolder
 from morph_core.state import start
-from morph_core.catalogue import make_task
 from morph_core.train import METHODS
 
 FINAL_EPISODES = 256

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from morph_core.catalogue import make_task
 from morph_core.config import Config
 from morph_core.protocol import RunRecord
 from morph_core.run_folder import RunFolder, create_run
 from morph_core.task import Hardware, Transition
-from morph_core.catalogue import make_task
 from morph_core.tasks.reacher import Reacher
 
 SMALL = Config(

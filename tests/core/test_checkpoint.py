@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from morph_core.catalogue import make_task
 from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.state import State, start
-from morph_core.catalogue import make_task
 from morph_core.train import METHODS
 from tests.core.conftest import SMALL, make_run
 

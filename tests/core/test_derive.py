@@ -8,13 +8,13 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from morph_core.config import Config
 from morph_core.derive import Dataset, derive_design, relabel
+
+from morph_core.catalogue import make_task
+from morph_core.config import Config
 from morph_core.exploration import run_trajectories
 from morph_core.state import start as start_of_run
 from morph_core.task import Hardware
-from morph_core.catalogue import make_task
 from morph_core.tasks.reacher import LINKS, Reacher
 
 lengths = st.lists(st.floats(0.05, 5.0), min_size=LINKS, max_size=LINKS).map(np.array)

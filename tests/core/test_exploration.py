@@ -10,6 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from morph_core.catalogue import make_task
 from morph_core.config import Config
 from morph_core.exploration import (
     Relabelled,
@@ -25,7 +26,6 @@ from morph_core.exploration import (
 )
 from morph_core.rollout import Rollout
 from morph_core.state import State, start
-from morph_core.catalogue import make_task
 from tests.core.conftest import SMALL
 
 TASK = make_task("reacher")

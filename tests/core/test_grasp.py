@@ -36,7 +36,7 @@ class Staged(HandPhysics):
         self.phi, self._outcome = TASK.design_space.initial, outcome
         self.buildable = TASK.buildable(self.phi)
 
-    def run(self, s: np.ndarray, a: np.ndarray) -> Outcome:  # noqa: ARG002
+    def run(self, s: np.ndarray, a: np.ndarray) -> Outcome:
         return self._outcome
 
 

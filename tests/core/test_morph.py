@@ -8,14 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from morph_core.objective import cosine_by_parameter, fit_proxy
 from torch import nn
 
+from morph_core.catalogue import make_task
 from morph_core.checkpoint import all_finite
 from morph_core.config import Config
-from morph_core.objective import cosine_by_parameter, fit_proxy
 from morph_core.protocol import Progress
 from morph_core.state import State, start
-from morph_core.catalogue import make_task
 from morph_core.train import METHODS
 from tests.core.conftest import Fragile
 

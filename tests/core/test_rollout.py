@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from morph_core.objective import make_batch
 
+from morph_core.catalogue import make_task
 from morph_core.config import Config
 from morph_core.episodes import evaluate, record_episode
 from morph_core.exploration import relabel_on_hardware
-from morph_core.objective import make_batch
 from morph_core.rollout import Act, Rollout, advantages, collect
 from morph_core.state import start
-from morph_core.catalogue import make_task
 from morph_core.tasks.reacher import LINKS, Reacher
 from tests.core.conftest import Fragile
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from morph_core.catalogue import make_task
 from morph_core.config import Config
 from morph_core.networks import Proxy
 from morph_core.state import Learner, start
-from morph_core.catalogue import make_task
 
 TASK = make_task("reacher")
 

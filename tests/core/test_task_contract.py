@@ -7,9 +7,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import morph_core.envs  # noqa: F401 - registers the tasks
+from morph_core.catalogue import TASKS, make_task
 from morph_core.rollout import collect
 from morph_core.task import Task
-from morph_core.catalogue import TASKS, make_task
 
 N = 6
 

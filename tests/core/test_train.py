@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from morph_core import protocol
+from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, StateChanged
 from morph_core.run_folder import RunFolder, read_episode
 from morph_core.state import start
-from morph_core.catalogue import make_task
 from morph_core.train import METHODS, apply_edit
 from tests.core.conftest import SMALL, make_run
 

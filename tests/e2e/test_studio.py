@@ -16,9 +16,9 @@ from playwright.sync_api import Frame, Locator, Page, expect
 from served import Server, beat_of, events_of, wait_for
 from yourdfpy import URDF
 
+from morph_core.catalogue import make_task
 from morph_core.protocol import Acknowledged, Evaluation, Pause, Progress, Resume, SetAlpha, SetBound, StateChanged
 from morph_core.run_folder import RunFolder
-from morph_core.catalogue import make_task
 from studio.export.design_file import Design, Value
 
 pytestmark = pytest.mark.browser
@@ -224,7 +224,7 @@ def test_a_hand_plays_with_its_object_and_reads_finger_by_finger(server: Server,
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
     frame = open_studio(page, server)
-    tiny = {"trajectories": 8, "evaluation_interval": 1, "evaluation_episodes": 4, "minibatches": 1, "epochs": 1}
+    tiny = {"trajectories": 8, "evaluation": {"interval": 1, "episodes": 4}, "ppo": {"minibatches": 1, "epochs": 1}}
     order = {"task": "pen_press", "method": "direct", "iterations": 2, "settings": tiny}
     answer = page.request.post(f"http://127.0.0.1:{server.port}/api/runs", data=order)
     assert answer.ok, answer.text()

@@ -1,7 +1,6 @@
 """Run folders, a stand-in trainer and a real server for the studio's tests."""
 
 import contextlib
-import dataclasses
 import os
 import signal
 import socket
@@ -20,10 +19,11 @@ import uvicorn
 import viser
 from fastapi import FastAPI
 
+from morph_core.catalogue import make_method, make_task
+from morph_core.config import recorded
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
+from morph_core.protocol import FORMAT, AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
-from morph_core.catalogue import make_task
 from studio.app import create_app
 from studio.bridge import MAX_MESSAGE
 from studio.export.bundle import Bundle
@@ -90,7 +90,8 @@ def make_run(runs: Path, name: str = NAME, ended: Status | None = "stopped") -> 
     """Return a run folder with three iterations, an evaluation and a rollout; without `ended`, before its start."""
     task = make_task("reacher")
     record = RunRecord(
-        id=name, task="reacher", method="morph", seed=0, iterations=100, config=dataclasses.asdict(task.config),
+        id=name, task="reacher", method="morph", seed=0, iterations=100,
+        config=recorded(make_method("morph", task)), format=FORMAT,
         parameters=list(task.design_space.parameters), versions={"python": "3"}, created=time.time(),
     )  # fmt: skip
     folder = create_run(runs, record)
@@ -119,7 +120,8 @@ def make_hand_run(runs: Path, task: str, name: str = "20260101-000000-hand-direc
     """Return a run folder of a hand: one iteration whose first finger grew and moved, and its evaluation."""
     made = make_task(task)
     record = RunRecord(
-        id=name, task=task, method="direct", seed=0, iterations=10, config=dataclasses.asdict(made.config),
+        id=name, task=task, method="direct", seed=0, iterations=10,
+        config=recorded(make_method("direct", made)), format=FORMAT,
         parameters=list(made.design_space.parameters), versions={"python": "3"}, created=time.time(),
     )  # fmt: skip
     folder = create_run(runs, record)

@@ -18,7 +18,8 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from hypothesis.errors import Unsatisfiable
 
-from morph_core.config import Config
+from morph_core.catalogue import make_method, make_task
+from morph_core.config import paths_of
 from morph_core.protocol import Pause, StateChanged
 from morph_core.run_folder import EventLog, RunFolder
 from studio.settings import Settings
@@ -82,28 +83,36 @@ def test_tasks_come_with_everything_a_form_needs(served: Served) -> None:
     options = {option["name"]: option for option in reacher["options"]}
     assert options["tunnel"]["choices"] == ["zigzag", "paper"]
     assert options["tunnel"]["default"] == "zigzag"
-    config = {field["name"]: field for field in reacher["config"]}
-    assert config["alpha"] == {
-        "name": "alpha", "type": "float", "default": 1.0, "choices": None,
+    settings = {field["name"]: field for field in reacher["settings"]["morph"]}
+    assert settings["alpha"] == {
+        "name": "alpha", "type": "float", "default": 1.0, "choices": None, "lo": 0.0, "hi": None, "only_with": None,
         "doc": "alpha: weight of the divergence between proxy and Hw-Phy in Eq. 2.",
     }  # fmt: skip
-    assert set(config) == set(Config.__dataclass_fields__)
-    assert all(field["doc"] for field in config.values())
+    assert settings["exploration"]["choices"] == ["design", "gaussian"]
+    assert (settings["search.ridge"]["only_with"], settings["exploration.noise"]["only_with"]) == ("drift", "gaussian")
+    assert set(dict(paths_of(make_method("morph", make_task("reacher"))))) <= set(settings)
+    assert "alpha" not in {field["name"] for field in reacher["settings"]["no_hw_opt"]}
+    assert all(field["doc"] for fields in reacher["settings"].values() for field in fields)
+    assert list(answer["method_titles"]) == answer["methods"]
+    assert all(answer["method_titles"].values())
+    assert answer["broken"] == []
     assert [p["name"] for p in reacher["parameters"]] == [f"link_{i}" for i in range(1, 6)]
     assert answer["tasks"][0] == reacher  # what the page shows first
-    assert (reacher["explorations"], reacher["z_unit"]) == (["design", "gaussian"], "m")
+    assert reacher["z_unit"] == "m"
 
 
 def test_a_hand_says_what_it_can_be_run_with(served: Served) -> None:
     tasks = {task["name"]: task for task in served.client.get("/api/tasks").json()["tasks"]}
     hand = tasks["pen_press"]
-    assert (hand["explorations"], hand["z_unit"]) == (["design"], "")
+    settings = {field["name"]: field for field in hand["settings"]["morph"]}
+    assert (settings["exploration"]["choices"], hand["z_unit"]) == (["design"], "")
+    assert settings["search"]["choices"] == ["cma", "drift"]  # its Hw-Phy has no gradient
     options = {option["name"]: option for option in hand["options"]}
     assert options["grasp"]["choices"] == ["any_two", "two_besides_presser"]
     assert all(option["doc"] for option in options.values())  # those that it has from the common hand too
     answer = served.client.post("/api/runs", json={"task": "pen_press", "settings": {"exploration": "gaussian"}})
     assert answer.status_code == 422
-    assert "choose from: design" in answer.json()["detail"]
+    assert 'choose from: "design"' in answer.json()["detail"]
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
@@ -126,8 +135,8 @@ def test_a_started_run_is_listed_and_shown(served: Served, run_id: str) -> None:
         ({"task": "reacher", "method": "magic"}, "choose from: morph"),
         ({"task": "reacher", "settings": {"alfa": 1}}, "choose from: "),
         ({"task": "reacher", "settings": {"alpha": "1"}}, "alpha must be a number"),
-        ({"task": "reacher", "settings": {"trajectories": 7}}, "trajectories must be even"),
-        ({"task": "reacher", "task_options": {"tunnel": ["zigzag"]}}, "wrong type"),
+        ({"task": "reacher", "settings": {"trajectories": 7}}, "trajectories must be a multiple of 2"),
+        ({"task": "reacher", "task_options": {"tunnel": ["zigzag"]}}, "choose from: zigzag, paper"),
         ({"task": "reacher", "iterations": 0}, "iterations"),
         ({"task": "reacher", "seed": -1}, "seed"),
         ({"task": "reacher", "colour": "red"}, "colour"),

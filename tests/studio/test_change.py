@@ -10,10 +10,10 @@ from conftest import Page, design_of, make_hand_run, make_run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
 from morph_core.protocol import Parameter, SetBound
 from morph_core.run_folder import RunFolder
-from morph_core.catalogue import TASKS, make_task
 from studio.viewer.change import change_table
 from studio.viewer.parts import Unit, quantities_of, split_name, unit_of
 from studio.viewer.rules import rules_of, success_rule
@@ -232,7 +232,7 @@ def test_a_run_can_begin_with_a_design_that_was_exported(page: Page, folder: Run
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [({"task": "juggling"}, "choose from"), ({"parameters": []}, "lacks placement_1"), ({"kind": "cake"}, "no design"),
-     ({"task_options": {"mass": "heavy"}}, "mass must be a finite number"), ({"task_options": {"hue": 1}}, "hue")],
+     ({"task_options": {"mass": "heavy"}}, "mass must be a number"), ({"task_options": {"hue": 1}}, "hue")],
 )  # fmt: skip
 def test_what_is_no_design_to_begin_with_is_refused_and_changes_nothing(
     page: Page, folder: RunFolder, change: dict[str, object], sentence: str
@@ -261,12 +261,12 @@ def test_another_task_drops_the_design_of_the_first(page: Page, folder: RunFolde
 def test_a_hand_is_not_offered_what_it_cannot_be_run_with(page: Page, task: str) -> None:
     form = page.viewer.start
     form.task.value = task
-    assert list(form.exploration.options) == ["design"]
-    form.exploration._impl.value = "gaussian"
+    assert list(form.settings.exploration.options) == ["design"]
+    form.settings.exploration._impl.value = "gaussian"
     form.submit(None)
     assert not page.started
-    assert "choose from: design" in form.notice.content
-    form.exploration._impl.value = "design"
+    assert "explored by &quot;gaussian&quot;" in form.notice.content
+    form.settings.exploration._impl.value = "design"
     form.submit(None)
     assert [request.task for request in page.started] == [task]
 

@@ -30,7 +30,7 @@ COMMAND = [sys.executable, "-m", "studio.cli"]
 ENVIRONMENT = {k: v for k, v in os.environ.items() if k not in ("PORT", "MORPH_RUNS", "MORPH_TOKEN")} | {
     "PYTHONPATH": str(ROOT)
 }
-SMALL = ("--trajectories", "8", "--proxy-prefit", "5", "--evaluation-episodes", "4", "--search-generations", "2")
+SMALL = ("--trajectories", "8", "--proxy.prefit", "5", "--evaluation.episodes", "4", "--search.generations", "2")
 
 
 def morph_studio(*words: str, cwd: Path = ROOT, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -143,12 +143,12 @@ def test_the_command_line_does_not_load_torch() -> None:
     ("words", "sentence"),
     [
         ("brew", "choose from: serve, train, runs, evaluate, export, verify, import"),
-        ("train", "choose from: mouse_click, pen_press, reacher"),
-        ("train reech", 'unknown task "reech"; choose from: mouse_click, pen_press, reacher'),
+        ("train", "choose from: reacher, pen_press, mouse_click"),
+        ("train reech", 'unknown task "reech"; choose from: reacher, pen_press, mouse_click'),
         ("train reacher extra", "too many words: extra"),
         ("train reacher --alhpa 1", "did you mean --alpha?"),
-        ("train reacher --alhpa 1", "choose from: --runs --method --seed"),
-        ("train reacher --method sgd", "choose from: morph, no_hw_opt, direct"),
+        ("train reacher --alhpa 1", "choose from: --runs --iterations --resume"),
+        ("train reacher --method sgd", "choose from: morph, direct, no_hw_opt"),
         ("train reacher --projection both", "choose from: none, one_sided, as_printed"),
         ("train reacher --tunnel straight", "choose from: zigzag, paper"),
         ("train reacher --alpha nan", "alpha must be finite, not nan"),
@@ -156,8 +156,8 @@ def test_the_command_line_does_not_load_torch() -> None:
         ("train reacher --alpha -1", "alpha must not be negative"),
         ("train reacher --alpha x", "--alpha: 'x' is no number"),
         ("train reacher --alpha", "--alpha needs a value"),
-        ("train reacher --trajectories 7", "trajectories must be even"),
-        ("train reacher --goal-bonus nan", "goal_bonus must be a finite number"),
+        ("train reacher --trajectories 7", "trajectories must be a multiple of 2"),
+        ("train reacher --goal-bonus nan", "goal_bonus must be finite"),
         ("train reacher --iterations 0", "--iterations must be at least 1"),
         ("train reacher --iterations x", "'x' is no whole number"),
         ("train reacher --seed -1", "seed must be a whole number from 0"),
@@ -285,7 +285,7 @@ def test_a_design_is_handed_to_a_run_that_is_at_work_and_to_no_other(folder: Run
         ("evaluate RUN --phi-from nowhere.json", "nowhere.json can't be read"),
         ("import nowhere.json --into RUN", "nowhere.json can't be read"),
         ("import RUN --into RUN --start", "choose one of --into RUN and --start"),
-        ("train --resume RUN --alpha 2 --seed 4", "leave out --alpha, --seed"),
+        ("train --resume RUN --alpha 2 --seed 4", "leave out --seed, --alpha"),
         ("train --resume RUN --method direct", "leave out --method"),
         ("train --resume RUN --z tip", "leave out --z"),
         ("train --resume RUN --iterations 0", "--iterations must be at least 1"),

@@ -22,9 +22,9 @@ import trimesh
 from conftest import design_of, make_hand_run
 from safetensors.numpy import save_file
 
+from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
 from morph_core.task import Task
-from morph_core.catalogue import TASKS, make_task
 from morph_core.tasks.grasp import GraspTask
 from studio.export.archive import unzipped, zipped
 from studio.export.bundle import FORMATS, Bundle, build_bundle, robot_files

@@ -10,8 +10,8 @@ from conftest import make_hand_run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from morph_core.run_folder import RunFolder, write_episode
 from morph_core.catalogue import TASKS, make_task
+from morph_core.run_folder import RunFolder, write_episode
 from studio.viewer.legend import legend_of
 from studio.viewer.scene import is_flat
 from studio.viewer.take import GOAL_LIT, LIT_BY, Shot, Take, _from_their_end, _moving_contacts, make_take

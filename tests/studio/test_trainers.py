@@ -9,7 +9,13 @@ from morph_core.history import History
 from studio.new_run import prepare_run
 from studio.trainers import Reserve
 
-TINY = {"trajectories": 4, "epochs": 1, "minibatches": 1, "proxy_prefit": 5, "search_generations": 2, "hidden": 8}
+TINY = {
+    "trajectories": 4,
+    "ppo": {"epochs": 1, "minibatches": 1},
+    "proxy.prefit": 5,
+    "search.generations": 2,
+    "hidden": 8,
+}
 
 
 def finished(history: History) -> bool:

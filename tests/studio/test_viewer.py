@@ -12,6 +12,7 @@ from conftest import NAME, Page, design_of, eventually, make_run
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
+from morph_core.catalogue import make_task
 from morph_core.protocol import (
     Acknowledged,
     AnyEvent,
@@ -31,7 +32,6 @@ from morph_core.protocol import (
     Unlock,
 )
 from morph_core.run_folder import EventLog, RunFolder, write_episode
-from morph_core.catalogue import make_task
 from studio.viewer import StartRequest
 from studio.viewer.charts import MOST_POINTS, decimate
 from studio.viewer.take import Shot, make_take
@@ -93,8 +93,8 @@ def test_a_page_without_runs_shows_the_initial_design_and_the_start_panel(page: 
 def test_start_asks_for_what_the_form_says_and_opens_the_run(page: Page) -> None:
     form = page.viewer.start
     form.options["reacher"]["tunnel"].value = "paper"
-    form.seed.value, form.iterations.value, form.alpha.value = 7, 50, 2.5
-    form.projection.value, form.exploration.value = "one_sided", "gaussian"
+    form.seed.value, form.iterations.value, form.settings.alpha.value = 7, 50, 2.5
+    form.settings.projection.value, form.settings.exploration.value = "one_sided", "gaussian"
     form.submit(None)
     assert page.started == [
         StartRequest(
@@ -129,7 +129,8 @@ def test_another_tunnel_is_seen_before_the_start(page: Page) -> None:
 def test_bad_start_values_start_nothing_and_say_what_is_allowed(
     page: Page, name: str, value: object, sentence: str
 ) -> None:
-    getattr(page.viewer.start, name)._impl.value = value
+    form = page.viewer.start
+    getattr(form if hasattr(form, name) else form.settings, name)._impl.value = value
     page.viewer.start.submit(None)
     assert not page.started
     assert page.viewer.selected is None

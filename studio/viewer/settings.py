@@ -1,0 +1,124 @@
+"""The settings of a new run as a form: what the chosen task, method, exploration and search leave to choose."""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import viser
+
+from morph_core.catalogue import make_method
+from morph_core.method import Method
+from morph_core.task import Task
+from studio.fields import Field, chosen_fields
+
+_PARTS = ("exploration", "search")
+"""What is chosen by name in sight; other choices of a plug-in's method are among the settings that are folded away."""
+
+
+class SettingsForm:
+    """A number or a choice for every setting of one method; another task or method makes them anew."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._gui = gui
+        self._task: Task | None = None
+        self._method: Method | None = None
+        self._more: dict[str, Any] = {}
+        """The settings that are folded away, by dotted name."""
+        self._folders: list[viser.GuiFolderHandle] = []
+        self._filling = False
+        self.alpha = gui.add_number(
+            "α", 1.0, min=0.0, step=0.1, hint="Weight of the divergence between proxy and Hw-Phy in Eq. 2."
+        )
+        self.projection = gui.add_dropdown(
+            "projection", [""], hint="What happens to the task's gradient where it conflicts with the hardware's."
+        )
+        self.exploration = gui.add_dropdown("exploration", [""], hint="How the hardware's output z is explored.")
+        self.search = gui.add_dropdown("search", [""], hint="How the design is found whose physics match the proxy.")
+        self._folder = gui.add_folder("More settings", expand_by_default=False)
+        for path in _PARTS:
+            self._in_sight[path].on_update(lambda _: self._choose_part())
+
+    @property
+    def _in_sight(self) -> Mapping[str, Any]:
+        """The handles of the settings that stand in sight, where the method has them."""
+        return {
+            "alpha": self.alpha, "projection": self.projection, "exploration": self.exploration, "search": self.search,
+        }  # fmt: skip
+
+    def show(self, task: Task, method: str) -> None:
+        """Show the settings of a method, with the defaults that were found to work for the task."""
+        self._task, self._method = task, make_method(method, task)
+        fields = {field.name: field for field in chosen_fields(self._method, task)}
+        self._filling = True
+        for path, handle in self._in_sight.items():
+            handle.visible = path in fields
+            if path in fields:
+                field = fields[path]
+                if field.choices:
+                    handle.options = [str(choice) for choice in field.choices]
+                handle.value = field.default
+        self._filling = False
+        self._fold(list(fields.values()))
+
+    def settings(self) -> dict[str, object]:
+        """Return the settings that differ from the defaults, under dotted names."""
+        if self._task is None or self._method is None:
+            return {}
+        usual = {field.name: field.default for field in chosen_fields(self._method, self._task)}
+        shown = {path: handle.value for path, handle in self._in_sight.items() if path in usual}
+        chosen = {path: value for path, value in shown.items() if value != usual[path]}
+        parts = {path: value for path, value in chosen.items() if path in _PARTS}
+        defaults = {
+            field.name: field.default
+            for field in chosen_fields(make_method(self._method.name, self._task, parts), self._task)
+        }
+        more = {path: handle.value for path, handle in self._more.items() if path in defaults}
+        return chosen | {path: value for path, value in more.items() if value != defaults[path]}
+
+    def _choose_part(self) -> None:
+        """Show the settings of another exploration or search."""
+        if self._filling or self._task is None or self._method is None:
+            return
+        wanted = {path: self._in_sight[path].value for path in _PARTS if self._in_sight[path].visible}
+        try:
+            method = make_method(self._method.name, self._task, wanted)
+        except ValueError:  # said when the run is started
+            return
+        self._fold(chosen_fields(method, self._task))
+
+    def _fold(self, fields: Sequence[Field]) -> None:
+        """Make the settings that are folded away anew, one folder for each part."""
+        for handle in (*self._more.values(), *self._folders):
+            handle.remove()
+        self._more, self._folders = {}, []
+        folded = [field for field in fields if field.name not in self._in_sight]
+        with self._folder:
+            for head, inside in itertools.groupby(folded, lambda field: field.name.rpartition(".")[0]):
+                if not head:
+                    self._more |= {field.name: self._add(field) for field in inside}
+                    continue
+                self._folders.append(self._gui.add_folder(head, expand_by_default=False))
+                with self._folders[-1]:
+                    self._more |= {field.name: self._add(field) for field in inside}
+
+    def _add(self, field: Field) -> Any:
+        label = field.name.rpartition(".")[2].replace("_", " ")
+        if field.choices:
+            choices = [str(choice) for choice in field.choices]
+            return self._gui.add_dropdown(label, choices, initial_value=str(field.default), hint=field.doc)
+        default: Any = field.default
+        return self._gui.add_number(
+            label, default, min=_as(default, field.lo), max=_as(default, field.hi), step=_step(default), hint=field.doc
+        )
+
+
+def _as(default: float, limit: float | None) -> float | None:
+    return None if limit is None else type(default)(limit)
+
+
+def _step(default: float) -> float:
+    """Return by how much a click changes a number, which is also how finely it can be typed."""
+    if isinstance(default, int):
+        return 1
+    return 10.0 ** (math.floor(math.log10(abs(default))) - 2) if default else 0.01
