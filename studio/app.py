@@ -53,9 +53,13 @@ class Shows(Protocol):
 
     def show(
         self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
-    ) -> None: ...
+    ) -> None:
+        """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
+        ...
 
-    def stop(self) -> None: ...
+    def stop(self) -> None:
+        """End what the viewer has started."""
+        ...
 
 
 class _GuardedApp(FastAPI):

@@ -166,7 +166,7 @@ class Figure:
         return (centre - reach).min((0, 1)), (centre + reach).max((0, 1))
 
     def nearest(self, point: np.ndarray, instant: int = 0) -> int:
-        """Return the index of the part whose surface is nearest to a point (3,) of the world, or which holds it deepest."""
+        """Return the index of the part nearest to a point (3,) of the world, or of the one that holds it deepest."""
         turned = np.einsum("nji,nj->ni", _matrices(self.wxyz[instant]), point - self.positions[instant])
         distances = [
             mesh.depth(local) if mesh else float(np.max(np.abs(local) - size))
