@@ -74,9 +74,23 @@ def test_every_folder_that_the_readme_names_exists(folder: str) -> None:
     assert (ROOT / folder).is_dir()
 
 
-@pytest.mark.parametrize("path", re.findall(r"\]\((?!http)([^)#]+)\)", README + CONTRIBUTING))
-def test_every_file_that_is_linked_exists(path: str) -> None:
-    assert (ROOT / path).is_file()
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/hands.md", "docs/decisions.md"])
+def test_every_file_that_is_linked_exists(page: str) -> None:
+    linked = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text())
+    assert [path for path in linked if not (ROOT / page).parent.joinpath(path).is_file()] == []
+
+
+def test_every_decision_has_its_day() -> None:
+    decisions = re.findall(r"^\*\*(.+?)\*\*", (ROOT / "docs" / "decisions.md").read_text(), re.MULTILINE)
+    assert decisions
+    assert [decision for decision in decisions if not re.search(r"\((\d{4}-\d\d-\d\d(, )?)+\)\.$", decision)] == []
+
+
+def test_the_newest_version_of_the_changelog_is_the_distribution_s() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    versions = re.findall(r"^## (\d\S*) - \d{4}-\d\d-\d\d$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert versions[0] == version
+    assert f"version: {version}\n" in (ROOT / "CITATION.cff").read_text()
 
 
 MAPS = dict(zip(("morph_core", "studio"), _blocks(CONTRIBUTING, ""), strict=False))
