@@ -52,22 +52,22 @@ def test_wheel_editable_install_and_checkout_find_the_meshes(tmp_path: Path) -> 
     source, elsewhere = tmp_path / "source", tmp_path / "elsewhere"
     for folder in ("assets", "morph_core", "studio"):
         shutil.copytree(ROOT / folder, source / folder)
-    for file in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / file, source)
+    for file in (path for path in ROOT.iterdir() if path.is_file()):
+        shutil.copy(file, source)
     in_checkout = f"{source / 'assets'} 55\n"
     assert _found(Path(sys.executable), elsewhere, PYTHONPATH=str(source)) == in_checkout
 
     editable = _environment(tmp_path / "editable")
-    _pip(editable, "install", "--editable", source)
+    _pip(editable, "install", "--ignore-installed", "--editable", source)
     assert _found(editable, elsewhere) == in_checkout
 
     _pip(Path(sys.executable), "wheel", "--wheel-dir", tmp_path, source)
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
-        top = {name.split("/")[0] for name in archive.namelist() if ".dist-info/" not in name}
-    assert top == {"morph_core", "studio"}
+        folders = [name.split("/")[0] for name in archive.namelist() if "/" in name]
+    assert {folder for folder in folders if not folder.endswith(".dist-info")} == {"morph_core", "studio"}
     installed = _environment(tmp_path / "installed")
-    _pip(installed, "install", wheel)
+    _pip(installed, "install", "--ignore-installed", wheel)
     shutil.rmtree(source)
     folder, vertices = _found(installed, elsewhere).split()
     assert Path(folder).parts[-3:] == ("site-packages", "morph_core", "assets")
