@@ -29,18 +29,22 @@ class DesignSpace:
 
     @property
     def names(self) -> list[str]:
+        """Return the names of the parameters, in the order of phi."""
         return [p.name for p in self.parameters]
 
     @property
     def lo(self) -> np.ndarray:
+        """Return the present lower bounds (d,)."""
         return np.array([p.lo for p in self.parameters])
 
     @property
     def hi(self) -> np.ndarray:
+        """Return the present upper bounds (d,)."""
         return np.array([p.hi for p in self.parameters])
 
     @property
     def scale(self) -> np.ndarray:
+        """Return a typical change of each parameter (d,): the unit of exploration and search."""
         return np.array([p.scale for p in self.parameters])
 
     @property
@@ -50,12 +54,12 @@ class DesignSpace:
 
     @property
     def free(self) -> np.ndarray:
-        """(d,) bool: which parameters may move."""
+        """Return a mask (d,) of the parameters that may move."""
         return np.array([p.locked_at is None for p in self.parameters])
 
     @property
     def groups(self) -> list[np.ndarray]:
-        """(d,) bool each: the parameters of every named group."""
+        """Return a mask (d,) of the parameters of each named group."""
         names = sorted({p.group for p in self.parameters if p.group})
         return [np.array([p.group == name for p in self.parameters]) for name in names]
 
@@ -75,7 +79,7 @@ class DesignSpace:
         return vector
 
     def index(self, name: str) -> int:
-        """Raise ValueError that lists the choices if there is no such parameter."""
+        """Return the place of a parameter in phi. Raise ValueError that lists the choices if there is none."""
         if name in self.names:
             return self.names.index(name)
         near = difflib.get_close_matches(name, self.names, 1)
@@ -83,7 +87,7 @@ class DesignSpace:
         raise ValueError(f'unknown design parameter "{name}"{hint}; choose from: {", ".join(self.names)}')
 
     def with_bound(self, name: str, lo: float, hi: float) -> "DesignSpace":
-        """Raise ValueError unless lo < hi, both finite and inside the task's hard box."""
+        """Return the space with other bounds. Raise ValueError unless lo < hi, finite, inside the task's hard box."""
         p = self.parameters[self.index(name)]
         _check_bound(p, lo, hi)
         if p.locked_at is not None and not lo <= p.locked_at <= hi:
@@ -91,11 +95,12 @@ class DesignSpace:
         return self._replace(name, lo=float(lo), hi=float(hi))
 
     def with_lock(self, name: str, value: float) -> "DesignSpace":
-        """Raise ValueError unless `value` is finite and inside the present bounds."""
+        """Return the space with a parameter locked. Raise ValueError unless `value` is finite and inside the bounds."""
         _check_value(self.parameters[self.index(name)], value)
         return self._replace(name, locked_at=float(value))
 
     def without_lock(self, name: str) -> "DesignSpace":
+        """Return the space with a parameter free to move. Raise ValueError if there is none of that name."""
         return self._replace(name, locked_at=None)
 
     def _replace(self, name: str, **changes: float | None) -> "DesignSpace":

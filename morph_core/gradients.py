@@ -8,10 +8,11 @@ from torch import Tensor
 from morph_core.config import Projection
 
 TINY = 1e-12
-"""Keeps a zero gradient from making a NaN."""
+"""Number that is added to a divisor, so that a zero gradient makes no NaN."""
 
 
 def flatten(gradients: Iterable[Tensor]) -> Tensor:
+    """Return all gradients as one flat vector."""
     return torch.cat([g.reshape(-1) for g in gradients])
 
 

@@ -41,10 +41,12 @@ class Policy(nn.Module):
 
     @property
     def std(self) -> Tensor:
+        """Return the standard deviation of each action, kept within its limits."""
         return self.log_std.exp().clamp(SMALLEST_STD, LARGEST_STD)
 
     @property
     def mean_std(self) -> float:
+        """Return the mean of the actions' standard deviations."""
         return float(self.std.detach().mean())
 
     def act(self, observation: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
@@ -56,9 +58,11 @@ class Policy(nn.Module):
             return mean + self.std.numpy() * rng.standard_normal(mean.shape, dtype=np.float32)
 
     def log_prob(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Return log pi(a | s) of actions (..., action_size) at observations (..., o)."""
         return log_normal(action, self.mean(observation), self.std)
 
     def limit_std(self, largest: float) -> None:
+        """Lower the standard deviations that are larger than `largest`."""
         with torch.no_grad():
             self.log_std.clamp_(max=math.log(largest))
 

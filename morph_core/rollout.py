@@ -8,7 +8,7 @@ import numpy as np
 from morph_core.task import Hardware, Task
 
 Act = Callable[[np.ndarray], np.ndarray]
-"""observations (N, o) -> actions (N, action_size)"""
+"""What chooses actions: observations (N, o) -> actions (N, action_size)."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class Rollout:
 
     @property
     def returns(self) -> np.ndarray:
-        """(N,) undiscounted return of each episode."""
+        """Return the undiscounted return (N,) of each episode."""
         return (self.reward * self.alive).sum(0)
 
     @property
     def mean_return(self) -> float:
-        """Of the episodes that are here; 0 if there are none."""
+        """Return the mean return of the episodes that were not left out; 0 if there are none."""
         return float(self.returns.mean()) if self.kept.any() else 0.0
 
     @property

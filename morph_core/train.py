@@ -49,7 +49,7 @@ HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
 SHOWN_DESIGNS = 12
-"""Of the explored designs, this many are kept with each evaluation."""
+"""Largest number of explored designs that are kept with an evaluation."""
 _CHANGES_NOTHING = protocol.Pause | protocol.Resume | protocol.StepIteration | protocol.Stop
 """Commands after which no checkpoint is needed: they change nothing that one holds."""
 

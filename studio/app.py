@@ -48,20 +48,25 @@ class Shows(Protocol):
 
     @property
     def selected(self) -> str | None:
-        """The run on screen."""
+        """Return the name of the run on screen, or None."""
         ...
 
     def show(
         self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
-    ) -> None: ...
+    ) -> None:
+        """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
+        ...
 
-    def stop(self) -> None: ...
+    def stop(self) -> None:
+        """End what the viewer has started."""
+        ...
 
 
 class _GuardedApp(FastAPI):
-    """The guard stands before everything else, so that error pages pass it too."""
+    """An application whose guard stands before everything else, so that error pages pass it too."""
 
     def build_middleware_stack(self) -> ASGIApp:
+        """Return FastAPI's own stack inside the guard."""
         return Guard(super().build_middleware_stack(), self.state.access)
 
 
@@ -145,7 +150,7 @@ def create_app(
 
 
 def keep_showing(viewer: Shows, runs: Runs, done: threading.Event) -> None:
-    """Hand the runs to the viewer until `done`, whatever it makes of them."""
+    """Hand the runs to the viewer until `done` is set; what it raises is logged."""
     while not done.wait(SHOW_INTERVAL):
         with _logged("showing the runs"):
             histories, shown = runs.watched(), runs.shown
@@ -194,20 +199,21 @@ def _add_refusals(app: FastAPI) -> None:
 
 
 class _Server(uvicorn.Server):
-    """Says that it is up only once it is."""
+    """A server that calls `on_started` once it is up."""
 
     def __init__(self, config: uvicorn.Config, on_started: Callable[[], None]) -> None:
         super().__init__(config)
         self.on_started = on_started
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, and call `on_started` if that worked."""
         await super().startup(sockets)
         if self.started:
             self.on_started()
 
 
 def serve(settings: Settings) -> None:
-    """Serve until SIGINT or SIGTERM; runs go on. SystemExit if the port is taken or the application can't start."""
+    """Serve until SIGINT or SIGTERM; runs go on. Raise SystemExit if the port is taken or the start fails."""
     try:
         listener = _listen(settings.host, settings.port)
     except OSError as error:
@@ -243,7 +249,7 @@ def serve(settings: Settings) -> None:
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """Return a socket that listens on the port; OSError if it is taken, never another port."""
+    """Return a socket that listens on the port. Raise OSError if it is taken; no other port is tried."""
     family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     listener = socket.socket(family, kind, protocol)
     try:

@@ -25,7 +25,7 @@ from websockets.http11 import Response as UpgradeResponse
 from websockets.typing import Subprotocol
 
 MAX_MESSAGE = 1 << 20
-"""Bytes a browser may send in one message; the client's own are below 1 kB, but for parts of files."""
+"""Largest message that a browser may send, in bytes; the client's own are below 1 kB, but for parts of files."""
 ALLOWED = frozenset(
     {
         "ViewerCameraMessage", "GuiUpdateMessage", "GuiButtonHoldMessage", "GuiFormDirtyMessage",
@@ -34,13 +34,14 @@ ALLOWED = frozenset(
         "TransformControlsDragEndMessage", "FileTransferPartAck",
     }
 )  # fmt: skip
-"""What a browser may tell viser. Not: share tunnels to another company's server, anything it gets newly."""
+"""Kinds of messages that a browser may send to viser. Left out on purpose: share tunnels to another company's server,
+and whatever kind viser gets newly."""
 MAX_PARTS = 64
-"""Of a file that is uploaded: an exported design, which has a few. The client sends half a megabyte in each."""
+"""Largest number of parts of an uploaded file, of half a megabyte each; an exported design has a few."""
 
 
 class UploadStart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransferStartUpload"):
-    """A browser announces a file for an upload button."""
+    """Message by which a browser announces a file for an upload button."""
 
     source_component_uuid: str
     transfer_uuid: str
@@ -51,7 +52,7 @@ class UploadStart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransf
 
 
 class UploadPart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransferPart"):
-    """A part of it."""
+    """Message that carries one part of an announced file."""
 
     source_component_uuid: str
     transfer_uuid: str
@@ -60,16 +61,16 @@ class UploadPart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransfe
 
 
 UPLOADS = frozenset({"FileTransferStartUpload", "FileTransferPart"})
-"""Admitted too, where all their fields are as they should be."""
+"""Kinds of messages that are admitted where all their fields are as they should be."""
 
 _log = logging.getLogger(__name__)
 
 
 class GuardedViser:
-    """A viser server that answers on loopback only, to those who know its secret path only."""
+    """A viser server that answers on loopback only, and only to those who know its secret path."""
 
     def __init__(self) -> None:
-        """Raise RuntimeError, with nothing left running, if viser did not take the guard."""
+        """Start viser behind the guard. Raise RuntimeError, with nothing left running, if viser did not take it."""
         secret, guarded = f"/{secrets.token_urlsafe(24)}".encode(), []
         serve = websockets.asyncio.server.serve
 
@@ -138,7 +139,7 @@ def _is_finite(value: object) -> bool:
 
 
 async def relay(browser: WebSocket, address: str) -> None:
-    """Copy messages both ways until either side leaves."""
+    """Copy messages between a browser and viser at `address`, both ways, until either side leaves."""
     versions = [Subprotocol(name) for name in browser.scope["subprotocols"] if name.startswith("viser-v")]
     try:
         upstream = await websockets.asyncio.client.connect(
@@ -179,7 +180,7 @@ async def relay(browser: WebSocket, address: str) -> None:
 
 
 def client_csp(host: str) -> str:
-    """Return the policy of the client's page; it stops script injected through `?websocket=` from elsewhere."""
+    """Return the content security policy of the client's page; it stops script injected through `?websocket=`."""
     return (
         "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'unsafe-inline'; "
         "img-src data: blob:; font-src data:; worker-src blob:; "

@@ -1,4 +1,4 @@
-"""A task's first picture: the scene as a drawing of flat faces, there before any 3-D viewer is."""
+"""A task's first picture: the scene as a drawing of flat faces, shown until the 3-D viewer has loaded."""
 
 import dataclasses
 
@@ -12,16 +12,17 @@ from studio.viewer.scene import OBLIQUE, is_flat, screen_axes
 from studio.viewer.take import Shot, make_take
 
 _MARGIN = 0.06
-"""Of the picture's larger side."""
+"""Margin of the picture, as a share of its larger side."""
 _TABLE = 1.2
-"""Times what stands on it."""
+"""Extent of the table that is drawn, as a multiple of what stands on it."""
 _LIGHT = np.array([-0.35, -0.5, 0.8]) / np.linalg.norm([-0.35, -0.5, 0.8])
 _AMBIENT = 0.62
 """Share of its colour that a face keeps in the shade."""
 
 
 def preview_svg(task_name: str) -> str:
-    """Return an SVG of the initial design in its start posture; ValueError lists the tasks if there is no such one."""
+    """Return an SVG of the initial design in its start posture. Raise ValueError with the choices if there is no such
+    task."""
     initial = tuple(make_task(task_name).design_space.initial.tolist())
     take = make_take(Shot(task_name, (), initial))
     direction = np.array([0.0, 0.0, 1.0]) if is_flat(*take.box) else OBLIQUE
@@ -42,7 +43,7 @@ def preview_svg(task_name: str) -> str:
 
 
 def _cut(scenery: Figure, box: tuple[np.ndarray, np.ndarray]) -> Figure:
-    """Return the scenery with a table that reaches but a little beyond the box: the rest would make it all small."""
+    """Return the scenery with its table cut to a little more than the box; a whole table would make the rest small."""
     reach = _TABLE * np.abs(np.stack(box))[:, :2].max()
     table = np.array([name.startswith("table") for name in scenery.names], bool)
     sizes = scenery.sizes.copy()

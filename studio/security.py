@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from studio.settings import Settings
 
 OPEN_PATHS = frozenset({"/healthz"})
-"""What needs no token. Host and Origin are checked here too."""
+"""Paths that need no token. Host and Origin are checked for them too."""
 
 PAGE_CSP = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -49,16 +49,16 @@ class Access:
         self._cookie = hmac.new(key, b"morph-studio cookie", hashlib.sha256).hexdigest()
         self._lock = threading.Lock()
         self.on_ticket_used: Callable[[], None] = lambda: None
-        """Called after the one-time ticket was used: `ticket` is a new one then."""
+        """Function to call after the one-time ticket was used; `ticket` is a new one by then."""
 
     @property
     def ticket(self) -> str:
-        """What the link `/?token=...` carries: the given token, or one that works once."""
+        """Return the token that the link `/?token=...` carries: the given one, or one that works once."""
         return self._ticket
 
     @property
     def cookie(self) -> str:
-        """The cookie's value; it does not tell the token."""
+        """Return the value of the cookie; the token can't be worked out from it."""
         return self._cookie
 
     def redeem(self, ticket: str) -> bool:
@@ -84,7 +84,7 @@ class Access:
         return morsel is not None and _same(morsel.value, self._cookie)
 
     def refusal(self, headers: Headers) -> str | None:
-        """Return why Host or Origin are wrong, or None. A missing Origin is the caller's to judge."""
+        """Return why Host or Origin are wrong, or None. Whether Origin may be missing is left to the caller."""
         hosts = headers.getlist("host")
         if len(hosts) != 1 or _name_of(hosts[0]) not in self.hosts:
             return "wrong Host: call this server by the name in its link (more names: MORPH_HOSTS)"
@@ -95,7 +95,7 @@ class Access:
 
 
 class Guard:
-    """ASGI middleware around the whole application, so that a new route or websocket is guarded from its first day."""
+    """ASGI middleware around the whole application: each route and websocket is guarded, new ones included."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self.app = app
@@ -173,7 +173,7 @@ class Guard:
 
 
 def kept_key(folder: Path) -> bytes:
-    """Return the key of this user's cookies, made on first use; one for this start only where it can't be kept."""
+    """Return the key of this user's cookies, made on first use; where it can't be kept, one for this start only."""
     path, fresh = folder / "cookie-key", secrets.token_bytes(32)
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -227,7 +227,7 @@ _LOGIN_STYLE = (
 
 
 def _login_page(tried: bool, from_elsewhere: bool) -> Response:
-    """The page for a browser without a cookie.
+    """Return the page for a browser without a cookie.
 
     A link followed from another site arrives without its SameSite=Strict cookie, even right after it was set: one
     reload from this page itself brings it along.

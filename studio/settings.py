@@ -31,22 +31,23 @@ def _state() -> Path:
 
 @dataclass(frozen=True)
 class Settings:
-    """Raises ValueError with a sentence on what can't be served safely. Unset fields come from the environment."""
+    """Settings of the server; unset fields come from the environment. What can't be served safely raises ValueError."""
 
     host: str = "127.0.0.1"
-    """The address to listen on; any other than this machine's own needs a token."""
+    """Address to listen on; any other than this machine's own needs a token."""
     port: int = field(default_factory=_port)
-    """PORT. The port to listen on; 0 takes a free one."""
+    """Port to listen on, from PORT; 0 takes a free one."""
     runs: Path = field(default_factory=_runs)
-    """MORPH_RUNS. The folder of run folders."""
+    """Folder of the run folders, from MORPH_RUNS."""
     token: str | None = field(default_factory=_token, repr=False)
-    """MORPH_TOKEN. What browsers and API clients must know; without one, a link made at the start lets a browser in."""
+    """Token that browsers and API clients must know, from MORPH_TOKEN; without it, a link made at the start lets a
+    browser in."""
     hosts: tuple[str, ...] = field(default_factory=_hosts)
-    """MORPH_HOSTS, comma-separated. Further names under which this server is reached, e.g. behind a proxy."""
+    """Further names under which this server is reached, e.g. behind a proxy; from MORPH_HOSTS, comma-separated."""
     state: Path = field(default_factory=_state)
-    """Where the key behind the cookie lies, so that an open page survives a restart of the server."""
+    """Folder of the key behind the cookie, which lets an open page survive a restart of the server."""
     open_browser: bool = True
-    """Open the page once the server is up."""
+    """Whether to open the page in the browser once the server is up."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:

@@ -12,11 +12,11 @@ import morph_core
 from morph_core.run_folder import RunFolder
 
 RESERVE_DELAY = 10.0
-"""Seconds after a start before the next trainer is loaded into reserve: the new run has the processor first."""
+"""Seconds between a start and the loading of the next trainer, so that the new run has the processor first."""
 
 
 def spawn_trainer(folder: RunFolder, *, further: int | None = None) -> subprocess.Popen[bytes]:
-    """Start the trainer of a run."""
+    """Start the trainer of a run as a process of its own."""
     path = folder.path.resolve()
     words = ["--run", str(path)]
     if further is not None:
@@ -26,7 +26,7 @@ def spawn_trainer(folder: RunFolder, *, further: int | None = None) -> subproces
 
 
 class Reserve:
-    """Keeps one trainer in reserve with everything loaded: seconds less between Start and the first iteration."""
+    """One trainer in reserve with everything loaded, which saves seconds between Start and the first iteration."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -35,13 +35,13 @@ class Reserve:
         self._closed = False
 
     def load(self) -> None:
-        """Load a trainer, unless one is there."""
+        """Load a trainer into reserve, unless one is there."""
         with self._lock:
             if not self._closed and (self._ready is None or self._ready.poll() is not None):
                 self._ready = _popen(["--standby"], stdin=subprocess.PIPE, output=subprocess.DEVNULL, cwd=None)
 
     def spawn(self, folder: RunFolder, *, further: int | None = None) -> subprocess.Popen[bytes]:
-        """Start the trainer of a run: the one in reserve, or, where there is none, a new one."""
+        """Start the trainer of a run: the one in reserve, or a new one if there is none."""
         with self._lock:
             trainer, self._ready = self._ready, None
             if self._timer is None or not self._timer.is_alive():
@@ -60,7 +60,7 @@ class Reserve:
         return spawn_trainer(folder, further=further)
 
     def close(self) -> None:
-        """Let the trainer in reserve go; those at work go on."""
+        """End the trainer in reserve; trainers at work go on."""
         with self._lock:
             self._closed = True
             if self._timer is not None:

@@ -5,11 +5,10 @@ import shlex
 import subprocess
 import sys
 import sysconfig
+import tomllib
 from pathlib import Path
 
 import pytest
-
-from morph_core.catalogue import TASKS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -75,18 +74,68 @@ def test_every_folder_that_the_readme_names_exists(folder: str) -> None:
     assert (ROOT / folder).is_dir()
 
 
-@pytest.mark.parametrize("path", re.findall(r"\]\((?!http)([^)#]+)\)", README + CONTRIBUTING))
-def test_every_file_that_is_linked_exists(path: str) -> None:
-    assert (ROOT / path).is_file()
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/hands.md", "docs/decisions.md"])
+def test_every_file_that_is_linked_exists(page: str) -> None:
+    linked = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text())
+    assert [path for path in linked if not (ROOT / page).parent.joinpath(path).is_file()] == []
 
 
-def test_the_map_names_every_module_of_the_core() -> None:
-    named = set(re.findall(r"(?:tasks/)?[a-z_]+\.py", _blocks(CONTRIBUTING, "")[0]))
-    core, tasks = (
-        {path.name for path in (ROOT / folder).glob("[a-z]*.py")} for folder in ("morph_core", "morph_core/tasks")
-    )
-    shared = tasks - {f"{name}.py" for name in TASKS}  # a task's own file needs no line
-    assert named == core | {f"tasks/{name}" for name in shared}
+def test_every_decision_has_its_day() -> None:
+    decisions = re.findall(r"^\*\*(.+?)\*\*", (ROOT / "docs" / "decisions.md").read_text(), re.MULTILINE)
+    assert decisions
+    assert [decision for decision in decisions if not re.search(r"\((\d{4}-\d\d-\d\d(, )?)+\)\.$", decision)] == []
+
+
+def test_the_newest_version_of_the_changelog_is_the_distribution_s() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    versions = re.findall(r"^## (\d\S*) - \d{4}-\d\d-\d\d$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert versions[0] == version
+    assert f"version: {version}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+MAPS = dict(zip(("morph_core", "studio"), _blocks(CONTRIBUTING, ""), strict=False))
+NAMES_OF_A_LINE = re.compile(r"(?:[\w/]+(?:\.py|/) +)+")
+FILES_OF_A_FOLDER = re.compile(r"one file = one [\w ]+: ([\w, ]+)")
+
+
+def _named(lines: str) -> list[str]:
+    """Return the files and folders that begin the lines of a map, and those that a folder's line lists."""
+    names = []
+    for line in lines.splitlines():
+        begins, listed = NAMES_OF_A_LINE.match(line), FILES_OF_A_FOLDER.search(line)
+        assert begins, f"this line of the map names no file: {line}"
+        names += begins[0].split()
+        if listed:
+            names += [f"{names[-1]}{stem.strip()}.py" for stem in listed[1].split(",")]
+    return names
+
+
+@pytest.mark.parametrize("package", MAPS)
+def test_the_map_names_every_module(package: str) -> None:
+    named = {name for name in _named(MAPS[package]) if name.endswith(".py")}
+    found = {str(path.relative_to(ROOT / package)) for path in (ROOT / package).rglob("[a-z]*.py")}
+    modules = {name for name in found if not name.startswith("export/shipped/")}
+    assert named == modules, f"lines to add: {sorted(modules - named)}; lines to delete: {sorted(named - modules)}"
+
+
+@pytest.mark.parametrize("package", MAPS)
+def test_the_map_is_in_the_order_of_the_import_contract(package: str) -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    (layers,) = (contract["layers"] for contract in contracts if contract.get("containers") == [package])
+    height = {name: i for i, layer in enumerate(layers) for name in layer.split(" | ")}
+    places = [height[name.split("/")[0].removesuffix(".py")] for name in _named(MAPS[package])]
+    assert places == sorted(places)
+
+
+def test_contributing_names_the_groups_of_checks() -> None:
+    (groups,) = re.findall(r"^every=\(([\w ]+)\)$", (ROOT / ".ci" / "run").read_text(), re.MULTILINE)
+    assert ", ".join(groups.split()) in CONTRIBUTING
+
+
+def test_an_unknown_group_of_checks_lists_the_choices() -> None:
+    ended = subprocess.run([ROOT / ".ci" / "run", "lnt"], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 2
+    assert ended.stderr == 'unknown group "lnt"; choose from: lint, types, docs, fast, slow, browser\n'
 
 
 @pytest.mark.parametrize("path", re.findall(r"!\[[^\]]+\]\(([^)]+)\)", README))

@@ -13,8 +13,6 @@ from morph_core.tasks import palette
 from morph_core.tasks.grasp import OBJECT_FRICTION, GraspTask, add_button, add_free_body
 from morph_core.tasks.hand import OBJECT_CONTACT, Hand
 
-# Beside morph_core in a checkout and in site-packages alike; an import could find someone else's folder "assets".
-ASSETS = Path(__file__).parents[2] / "assets"
 PARTS = ("body", "left", "right")
 BUTTON_MIDDLE, BUTTON_HALF_SIZE = (0.31, 0.15, 0.2), (0.15, 0.24, 0.12)
 """Shares of the mouse's length, width and height, from its middle: on the recess of its left front, and across the
@@ -80,10 +78,17 @@ class MouseClick(GraspTask):
         add_button(mouse, middle, [0, 0, 1], half_size, self.travel, self.stiffness)
 
 
+def assets() -> Path:
+    """Return the folder of meshes: inside `morph_core` where that is installed, beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    installed = package / "assets"
+    return installed if installed.is_dir() else package.parent / "assets"
+
+
 @cache
 def read_part(part: str) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices (V, 3), in the unit cube about the origin, and faces (F, 3) of a part of the mouse."""
-    rows = [line.split() for line in (ASSETS / f"mouse_{part}.obj").read_text().splitlines()]
+    rows = [line.split() for line in (assets() / f"mouse_{part}.obj").read_text().splitlines()]
     vertices = np.array([row[1:] for row in rows if row[:1] == ["v"]], dtype=float)
     return vertices, np.array([row[1:] for row in rows if row[:1] == ["f"]], dtype=np.int32) - 1
 

@@ -38,11 +38,11 @@ _DESIGN_BODY = {
     }
 }
 Export = Callable[[History, str, list[str] | None], Bundle]
-"""(run, which design, formats or None for all)."""
+"""Function that builds an export of a run: export(history, which design, formats or None for all)."""
 
 
 def designs_of(history: History) -> Designs:
-    """Return the evolution of phi."""
+    """Return the evolution of phi in a run."""
     parameters = history.record.parameters
     path = [Design(0, history.initial_phi.tolist()), *(Design(p.iteration, p.phi) for p in history.progress)]
     best, latest = history.design("best")[0], history.design("latest")[0]
@@ -50,7 +50,7 @@ def designs_of(history: History) -> Designs:
 
 
 def episode_of(history: History, iteration: str) -> bytes:
-    """Return the npz file of one recorded episode; raise RunFolderError that lists what is there."""
+    """Return the npz file of one recorded episode. Raise RunFolderError with the choices if there is none."""
     folder = history.folder
     recorded = {int(p.stem): p for p in folder.episodes.glob("[0-9]*.npz") if p.stem.isdecimal()}
     path = recorded.get(int(iteration)) if iteration.isdecimal() and len(iteration) <= 12 else None

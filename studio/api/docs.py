@@ -72,7 +72,7 @@ def _links(part: object) -> str:
 
 
 def docs_router() -> APIRouter:
-    """Return the page and the schema it is made from."""
+    """Return the routes of the page and of the schema that it is made from."""
     router = APIRouter(include_in_schema=False)
 
     @router.get("/docs")

@@ -12,7 +12,7 @@ from studio.fields import Field
 from studio.runs import MAX_ITERATIONS, Summary
 
 MAX_BODY = 1 << 20
-"""Bytes of a request's body."""
+"""Largest body of a request, in bytes."""
 Number = Annotated[int, msgspec.Meta(ge=1, le=MAX_ITERATIONS)]
 Body = TypeVar("Body")
 
@@ -33,10 +33,10 @@ class StartRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ResumeRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How far to go on."""
+    """Wish to go on with a run that has ended."""
 
     further: Number | None = None
-    """Iterations beyond the last recorded one; without it, up to the planned number."""
+    """Number of iterations beyond the last recorded one; without it the run goes on to the planned number."""
 
 
 class TaskInfo(msgspec.Struct, frozen=True):
@@ -45,7 +45,7 @@ class TaskInfo(msgspec.Struct, frozen=True):
     name: str
     title: str
     z_unit: str
-    """Of the hardware's output, and so of the divergence; empty where each component is in its own typical unit."""
+    """Unit of the hardware's output, and so of the divergence; empty where each component has its own typical unit."""
     options: list[Field]
     parameters: list[Parameter]
     settings: dict[str, list[Field]]
@@ -74,7 +74,7 @@ class TaskList(msgspec.Struct, frozen=True):
 
 
 class Accepted(msgspec.Struct, frozen=True):
-    """The number under which a command will be acknowledged as an event."""
+    """Answer to a command: the number under which it will be acknowledged as an event."""
 
     id: int
 
@@ -85,7 +85,7 @@ class RunState(Summary, frozen=True, kw_only=True):
     task_options: dict[str, object] | None = None
     config: dict[str, object] | None = None
     parameters: list[Parameter] | None = None
-    """With the bounds and locks now in force."""
+    """Design parameters with the bounds and locks now in force."""
     phi: list[float] | None = None
     versions: dict[str, str] | None = None
     git_revision: str | None = None
@@ -94,7 +94,7 @@ class RunState(Summary, frozen=True, kw_only=True):
     best: Evaluation | None = None
     last_seq: int = 0
     acknowledged: tuple[Acknowledged, ...] = ()
-    """The last few answers of the trainer to commands."""
+    """Last few answers of the trainer to commands."""
 
 
 class Metrics(msgspec.Struct, frozen=True):
@@ -122,7 +122,7 @@ class Designs(msgspec.Struct, frozen=True):
 
 
 class ExportedFile(msgspec.Struct, frozen=True):
-    """One file of an export; `size` in bytes, before it is packed."""
+    """One file of an export; `size` is in bytes, before it is packed."""
 
     path: str
     size: int
@@ -139,7 +139,7 @@ class Comparison(msgspec.Struct, frozen=True):
 
 
 class Checked(msgspec.Struct, frozen=True):
-    """An export that has passed its checks; `size` in bytes, of the zip."""
+    """An export that has passed its checks; `size` is that of the zip, in bytes."""
 
     name: str
     size: int
@@ -148,20 +148,20 @@ class Checked(msgspec.Struct, frozen=True):
 
 
 class Health(msgspec.Struct, frozen=True):
-    """`boot` changes with every start of the server."""
+    """State of the server; `boot` changes with every start of it."""
 
     status: str
     boot: str
 
 
 class Refusal(msgspec.Struct, frozen=True):
-    """A sentence that says what is allowed."""
+    """Answer to a request that is refused: a sentence that says what is allowed."""
 
     detail: str
 
 
 def body_of(kind: type[Body] | UnionType) -> Callable[[Request], Coroutine[None, None, Body]]:
-    """Return a dependency that decodes the request's body; ValueError on anything but a whole `kind`.
+    """Return a dependency that decodes the request's body; it raises ValueError on anything but a whole `kind`.
 
     JSON knows no NaN or infinity, and numbers beyond a float's range are refused by the decoder.
     """

@@ -8,7 +8,7 @@ from studio.cli.arguments import UsageError
 
 
 def open_run(runs: Path, run: str) -> History:
-    """Raise UsageError that lists the choices, or says why the folder can't be read."""
+    """Return the run. Raise UsageError that lists the choices, or says why the folder can't be read."""
     path = Path(run)
     try:
         if path.is_absolute() or len(path.parts) > 1 or (path / "run.json").is_file():

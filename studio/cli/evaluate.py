@@ -21,21 +21,22 @@ from studio.cli.export import DesignName
 
 @dataclass(frozen=True)
 class EvaluateArguments(RunsArguments):
-    """Measure success and return of a design on Hw-Phy, with the policy as it was then."""
+    """Measure success and return of a design on Hw-Phy, with the policy of the same iteration."""
 
     run: tyro.conf.Positional[RunName] = tyro.MISSING
     """Name of a run, or the path of its folder."""
     design: DesignName = "best"
-    """Which design: the best evaluated one, the latest one, or that of an iteration."""
+    """Design to measure: the best evaluated one, the latest one, or that of an iteration."""
     phi_from: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Another design in its place, with the same policy: a design.json, or an export that holds one."""
+    """File of another design to measure with the same policy: a design.json, or an export that holds one."""
     episodes: Count = 100
-    """Episodes for the sampled policy, and as many for the deterministic one."""
+    """Number of episodes for the sampled policy, and as many for the deterministic one."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
 
 def main(words: Sequence[str]) -> int:
+    """Run `morph-studio evaluate` with these words; return the exit status."""
     arguments = parse(EvaluateArguments, words, "evaluate")
     if arguments.episodes < 1:
         raise UsageError(f"evaluate: --episodes must be at least 1, not {arguments.episodes}")

@@ -21,14 +21,15 @@ class ExportArguments(RunsArguments):
     run: tyro.conf.Positional[RunName] = tyro.MISSING
     """Name of a run, or the path of its folder."""
     design: DesignName = "best"
-    """Which design: the best evaluated one, the latest one, or that of an iteration (0 is the initial one)."""
+    """Design to export: the best evaluated one, the latest one, or that of an iteration (0 is the initial one)."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="PATH.zip|DIR")] = None
-    """Where to; without it into the exports of the run."""
+    """Zip or folder to write; without it, a zip among the exports of the run."""
     formats: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="mjcf|urdf|stl|3mf|glb|step")] = None
-    """What to write; all but step, which needs build123d, unless some are named."""
+    """Formats to write; without it, all but step, which needs build123d."""
 
 
 def main(words: Sequence[str]) -> int:
+    """Run `morph-studio export` with these words; return the exit status."""
     arguments = parse(ExportArguments, words, "export")
     from studio.export.bundle import build_bundle, bundle_name, check_formats, task_of
     from studio.export.errors import ExportError

@@ -150,10 +150,12 @@ class Bar:
         self._live.stop()
 
     def say(self, sentence: str) -> None:
+        """Print a sentence, unless the command is to be quiet."""
         if not self._quiet:
             self._live.console.print(Text(sentence))
 
     def show(self, history: History, last: bool = False) -> None:
+        """Show how far the run is; `last` prints the final line too."""
         beat, status = history.heartbeat, history.status
         self._progress.update(
             self._task,
@@ -182,10 +184,12 @@ class Lines:
         pass
 
     def say(self, sentence: str) -> None:
+        """Print a sentence, unless the command is to be quiet."""
         if not self._quiet:
             self._console.print(Text(sentence))
 
     def show(self, history: History, last: bool = False) -> None:
+        """Print a line if it is time for one, and anyway if it is the `last` one."""
         if history.iteration == self._shown or (time.monotonic() < self._next and not last):
             return
         self._shown, self._next = history.iteration, time.monotonic() + LINE_SECONDS

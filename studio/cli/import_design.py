@@ -20,9 +20,9 @@ class ImportArguments(RunsArguments):
     """Read a design.json, or a bundle for its design.json; nothing else in a bundle is looked at."""
 
     design: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar=DESIGN_METAVAR)] = tyro.MISSING
-    """A design.json, or the zip or folder that morph-studio export wrote."""
+    """Design to go on from: a design.json, or the zip or folder that morph-studio export wrote."""
     into: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
-    """Hand the design to this run, whose trainer is at work: it goes on from there."""
+    """Hand the design to this run, whose trainer is at work and goes on from there."""
     start: bool = False
     """Start a new run from the design."""
     method: Annotated[str, tyro.conf.arg(metavar="METHOD")] = "morph"
@@ -34,6 +34,7 @@ class ImportArguments(RunsArguments):
 
 
 def main(words: Sequence[str]) -> int:
+    """Run `morph-studio import` with these words; return the exit status."""
     arguments = parse(ImportArguments, words, "import")
     if arguments.into is not None and arguments.start:
         raise UsageError("import: choose one of --into RUN and --start")

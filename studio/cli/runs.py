@@ -22,6 +22,7 @@ class ListArguments(RunsArguments):
 
 
 def main(words: Sequence[str]) -> int:
+    """Run `morph-studio runs` with these words; return the exit status."""
     arguments = parse(ListArguments, words, "runs")
     lines = list_runs(arguments.runs)
     if arguments.json:

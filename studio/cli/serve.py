@@ -19,19 +19,20 @@ def _default_port() -> int:
 
 @dataclass(frozen=True)
 class ServeArguments(RunsArguments):
-    """Open the studio in the browser. It shows every run of the folder, those started on the command line too."""
+    """Open the studio in the browser. It shows every run of the folder, also those started on the command line."""
 
     host: str = "127.0.0.1"
     """Address to listen on; any other than this machine's own needs a token."""
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = field(default_factory=_default_port)
-    """Port to listen on; PORT from the environment."""
+    """Port to listen on; without it, PORT from the environment."""
     token: Annotated[str | None, tyro.conf.arg(metavar="TOKEN")] = None
-    """What browsers and API clients must know; MORPH_TOKEN from the environment."""
+    """Token that browsers and API clients must know; without it, MORPH_TOKEN from the environment."""
     no_browser: bool = False
-    """Print the URL only, do not open it."""
+    """Print the URL, and do not open it."""
 
 
 def main(words: Sequence[str]) -> int:
+    """Run `morph-studio serve` with these words; return the exit status."""
     arguments = parse(ServeArguments, words, "serve")
     from studio.settings import Settings
 

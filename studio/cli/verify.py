@@ -19,14 +19,15 @@ class VerifyArguments:
     bundle: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BUNDLE")] = tyro.MISSING
     """The zip or the folder that morph-studio export wrote."""
     episodes: Count = 128
-    """Episodes in which the policy is run on the files; 0 leaves it out."""
+    """Number of episodes in which the policy is run on the files; 0 leaves this out."""
     every: bool = False
-    """Show every comparison, and not one line for each file."""
+    """Show every comparison instead of one line for each file."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
 
 def main(words: Sequence[str]) -> int:
+    """Run `morph-studio verify` with these words; return the exit status, 1 if anything disagrees."""
     arguments = parse(VerifyArguments, words, "verify")
     if arguments.episodes < 0:
         raise UsageError(f"verify: --episodes must not be negative, and is {arguments.episodes}")

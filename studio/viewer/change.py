@@ -11,7 +11,8 @@ _MIDDLE = "position:absolute;left:50%;top:-2px;width:1px;height:10px;background:
 
 
 def change_table(history: History, phi: np.ndarray) -> str:
-    """Return what `phi` (d,) changes of the initial design as HTML: numbers, and bars to the left and right of none."""
+    """Return as HTML how `phi` (d,) differs from the initial design: in numbers, and as bars, to the left where it is
+    less and to the right where it is more."""
     quantities = quantities_of(history)
     parts = dict.fromkeys((e.part, e.colour) for q in quantities for e in q.entries)
     heading = "".join(
@@ -38,7 +39,8 @@ def _cell(first: bool) -> str:
 
 
 def _entry(quantity: Quantity, part: str, initial: np.ndarray, phi: np.ndarray) -> str:
-    """Return one part's numbers and bar; the longest bars of a quantity are its largest change, or a typical one."""
+    """Return one part's numbers and bar. The longest bar of a quantity is its largest change, or half of its scale if
+    that is more."""
     entry = next((e for e in quantity.entries if e.part == part), None)
     if entry is None:
         return ""
@@ -49,7 +51,7 @@ def _entry(quantity: Quantity, part: str, initial: np.ndarray, phi: np.ndarray) 
 
 
 def _numbers(unit: Unit, entry: Entry, initial: np.ndarray, phi: np.ndarray) -> str:
-    """Return "12.0 → 18.3 cm" and "+6.3 cm"; where the initial value is zero, the change says it all."""
+    """Return HTML such as "12.0 → 18.3 cm" and "+6.3 cm"; where the initial value is zero, the change alone."""
     before, now = float(initial[entry.index]), float(phi[entry.index])
     both = f"{unit.number(before)} → {unit.words(now)}" if before else ""
     return (
@@ -59,7 +61,7 @@ def _numbers(unit: Unit, entry: Entry, initial: np.ndarray, phi: np.ndarray) -> 
 
 
 def _bar(share: float, colour: str) -> str:
-    """Return a bar from the middle, to the right for a `share` in (0, 1], to the left for one in [-1, 0)."""
+    """Return a bar as HTML, from the middle to the right for a `share` in (0, 1], to the left for one in [-1, 0)."""
     width = 50 * min(abs(share), 1.0)
     left = 50.0 if share > 0 else 50 - width
     fill = f"position:absolute;left:{left:.1f}%;width:{width:.1f}%;height:6px;border-radius:2px;background:{colour}"

@@ -15,40 +15,41 @@ from studio.viewer.parts import COLOURS
 MOST_POINTS = 2000
 _HEIGHT = 118
 _ROWS_PER_SECOND = 1000
-"""Every update resends a whole chart: long runs are redrawn less often, ..."""
+"""Number of rows for which a chart rests one second: every update resends the whole chart, so a long run is redrawn
+less often."""
 _LONGEST_REST = 2.0
-"""... but at least once in so many seconds."""
+"""Longest time that a chart rests between two updates, in seconds."""
 _FONT = "11px system-ui, sans-serif"
 _LOG = 3
-"""uPlot's number of a logarithmic scale."""
+"""Number by which uPlot knows a logarithmic scale."""
 
 Curves = tuple[np.ndarray, ...]
-"""x (N,), then one y (N,) for each series; NaN where a series has no value."""
+"""Data of a chart: x (N,), then one y (N,) for each series; NaN where a series has no value."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """One chart: its words, and what it shows of a run."""
+    """Description of a chart: its title, labels and colours, and how its curves are taken from a run."""
 
     title: str
     axis: str
     labels: tuple[str, ...]
     curves: Callable[[History], Curves]
     empty: str = ""
-    """What to say while there is nothing to show."""
+    """Sentence to show while there is nothing to draw."""
     bounds: tuple[float, float] | None = None
-    """Fixed limits of y; else it fits itself."""
+    """Fixed limits of the y axis; without them it fits the data."""
     logarithmic: bool = False
     colours: tuple[str, ...] = COLOURS
 
     @property
     def frame(self) -> tuple[object, ...]:
-        """All of it but what changes with the run."""
+        """Return everything that asks for another chart when it changes; new data alone does not."""
         return self.title, self.axis, self.labels, self.bounds, self.logarithmic, self.colours
 
 
 class Chart:
-    """One chart, made when there is something to show: uPlot never recovers from an empty start."""
+    """One chart of the column. It is made once it has data, because uPlot never recovers from an empty start."""
 
     def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle, trace: Trace, order: int) -> None:
         self._gui = gui
@@ -62,6 +63,7 @@ class Chart:
         self._updated = 0.0
 
     def update(self, history: History) -> None:
+        """Draw the run's data, unless nothing is new or the chart still rests."""
         rows = max(len(history.progress), len(history.evaluations))
         state = (history.record.id, rows, history.events[-1].time if history.events else 0.0)
         now = time.monotonic()
@@ -84,12 +86,14 @@ class Chart:
         self.handle.visible = True
 
     def hide(self) -> None:
+        """Take the chart and its note out of sight."""
         self._note.visible = False
         if self.handle is not None:
             self.handle.visible = False
         self._shown = None
 
     def remove(self) -> None:
+        """Delete the chart and its note from the page."""
         self._note.remove()
         if self.handle is not None:
             self.handle.remove()
@@ -151,7 +155,7 @@ class Chart:
 
 
 def decimate(curves: Curves, most: int) -> Curves:
-    """Return at most `most` points: of each stretch of iterations the last value of every series."""
+    """Return at most `most` points: the last finite value of every series in each stretch of iterations."""
     x = curves[0]
     if len(x) <= most:
         return curves

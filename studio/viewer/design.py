@@ -14,7 +14,7 @@ from studio.viewer.parts import unit_of
 from studio.viewer.run import NOT_LIVE, Send
 
 _MOST_OPEN = 5
-"""Rows that are shown in full at first; more are folded, each with its value in its heading."""
+"""Largest number of rows that are all open at first; of more, each is folded, with its value in its heading."""
 
 
 @dataclass
@@ -29,7 +29,7 @@ class _Row:
 
 
 class DesignPanel:
-    """One row for each parameter of the run's design space; `send` takes the commands."""
+    """A form with one row for each parameter of the run's design space; `send` is called with its commands."""
 
     def __init__(self, gui: viser.GuiApi, *, send: Send) -> None:
         self._gui = gui
@@ -45,7 +45,7 @@ class DesignPanel:
         self._buttons: tuple[viser.GuiButtonHandle, ...] = ()
 
     def clear(self) -> None:
-        """Show no run."""
+        """Hide the form, as there is no run to show."""
         self.note.content = wording.paragraph(wording.dim("no data yet: press Start"))
         self.holder.visible = self.change.visible = False
 
@@ -76,7 +76,7 @@ class DesignPanel:
                 self._fill(row, p)
 
     def commands(self) -> list[AnyCommand]:
-        """Return what the form changes. Raise ValueError with a sentence if a value is not allowed."""
+        """Return the commands for what was edited. Raise ValueError with a sentence if a value is not allowed."""
         if self._space is None:
             return []
         space, commands = self._space, []
@@ -133,7 +133,7 @@ class DesignPanel:
         return row
 
     def _propose(self, name: str, *, by_hand: bool) -> None:
-        """Ask for the value beside a ticked lock, and offer the present one to whoever ticks it."""
+        """Show the input of the value beside a ticked lock; when somebody ticks it, fill in the present value."""
         row, space = self.rows[name], self._space
         row.value.visible = row.locked.value
         if by_hand and space is not None and row.locked.value and row.shown.locked_at is None:
@@ -153,7 +153,7 @@ class DesignPanel:
 
 
 def _in_words(p: Parameter, value: float) -> str:
-    """Return "2.000 m" or "0.052 rad, 3.0°"."""
+    """Return a value in words, such as "2.000 m" or "0.052 rad, 3.0°"."""
     words = f"{_number(value)} {p.unit}".rstrip()
     return f"{words}, {unit_of(p).words(value)}" if p.unit == "rad" else words
 
@@ -167,5 +167,5 @@ def _step(p: Parameter) -> float:
 
 
 def _unrounded(p: Parameter, value: float, exact: tuple[float, ...]) -> float:
-    """Return the exact value that the browser shows rounded to the input's step, or `value` where there is none."""
+    """Return the one of the exact values that the browser shows rounded to the input's step, else `value`."""
     return next((e for e in exact if abs(value - e) <= _step(p) / 2), value)

@@ -122,6 +122,7 @@ class ExportPanel:
             client.send_file_download(self._bundle.name, self._bundle.content, save_immediately=True)
 
     def tell(self, sentence: str | None, colour: str = wording.RED) -> None:
+        """Show a sentence in the panel; None takes the last one away."""
         self.notice.visible = sentence is not None
         self.notice.content = wording.alert(sentence, colour) if sentence else ""
 

@@ -18,9 +18,9 @@ KINDS: dict[int, str] = {
     int(mujoco.mjtGeom.mjGEOM_PLANE): "box",
 }
 _PLANE_THICKNESS = 0.02
-"""Of the slab that a plane is drawn as, as a share of its shorter side's half."""
+"""Half-thickness of the slab that a plane is drawn as, as a share of its shorter half-extent."""
 _LAST_VISIBLE_GROUP = 2
-"""MuJoCo's own viewers hide the groups beyond it: collision shapes by convention."""
+"""Last group of geoms that is drawn. MuJoCo's own viewers hide the groups beyond it: collision shapes by convention."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,12 @@ class Mesh:
     """A triangle mesh in its geom's frame."""
 
     vertices: np.ndarray
-    """(V, 3) float32 m."""
+    """Corners of the mesh in metres, (V, 3) float32."""
     faces: np.ndarray
-    """(F, 3) uint32."""
+    """Indices of the three corners of each face, (F, 3) uint32."""
 
     def depth(self, point: np.ndarray) -> float:
-        """Return how far a point (3,) of the mesh's frame is outside its faces' planes; negative inside (if convex)."""
+        """Return how far (m) a point (3,) of the mesh's frame is beyond its faces' planes; negative in a convex one."""
         corners = self.vertices[self.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -42,20 +42,20 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Figure:
-    """n parts over T instants."""
+    """Parts to draw, n of them, and where each is at T instants."""
 
     names: tuple[str, ...]
-    """The geoms' names, or those of their bodies where they have none."""
+    """Names of the geoms, or of their bodies where geoms have none."""
     kinds: tuple[str, ...]
     sizes: np.ndarray
-    """(n, 3) m: half-extents along the part's own axes; a capsule's third one is without its round ends."""
+    """Half-extents along each part's own axes in metres, (n, 3); a capsule's third one leaves out its round ends."""
     colours: np.ndarray
-    """(n, 3) uint8."""
+    """Red, green and blue of each part, (n, 3) uint8."""
     meshes: tuple[Mesh | None, ...]
     positions: np.ndarray
-    """(T, n, 3) float32 m in the world."""
+    """Positions in the world in metres, (T, n, 3) float32."""
     wxyz: np.ndarray
-    """(T, n, 4) float32."""
+    """Orientations in the world as quaternions w, x, y, z, (T, n, 4) float32."""
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel, qpos: np.ndarray) -> "Figure":
@@ -101,11 +101,12 @@ class Figure:
 
     @property
     def instants(self) -> int:
+        """Return the number of instants, T."""
         return len(self.positions)
 
     @classmethod
     def balls(cls, centres: np.ndarray, radius: float, name: str, colour: tuple[int, int, int]) -> "Figure":
-        """Return balls of one colour round centres (n, 3) m."""
+        """Return a figure of balls with one colour and one radius (m) round centres (n, 3) m."""
         n = len(centres)
         return cls(
             names=(name,) * n,
@@ -165,7 +166,7 @@ class Figure:
         return (centre - reach).min((0, 1)), (centre + reach).max((0, 1))
 
     def nearest(self, point: np.ndarray, instant: int = 0) -> int:
-        """Return the part whose surface is nearest to a point (3,) of the world, or inside which it is deepest."""
+        """Return the index of the part nearest to a point (3,) of the world, or of the one that holds it deepest."""
         turned = np.einsum("nji,nj->ni", _matrices(self.wxyz[instant]), point - self.positions[instant])
         distances = [
             mesh.depth(local) if mesh else float(np.max(np.abs(local) - size))

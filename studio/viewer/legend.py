@@ -1,4 +1,4 @@
-"""The legend: what the colours of the scene mean, of what is in it."""
+"""The legend: what the colours of the things in the scene mean."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ Colour = tuple[int, int, int]
 
 
 def legend_of(take: Take) -> str:
-    """Return swatches and words as HTML."""
+    """Return the legend of what is in the scene as HTML: a swatch and a word for each colour."""
     entries = [
         f'<span style="white-space:nowrap;margin-right:0.9em">{wording.swatch(colour)} {wording.text(words)}</span>'
         for colour, words in _entries(take)

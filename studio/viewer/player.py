@@ -18,18 +18,22 @@ _HOLD = 1.0
 _IDLE = 0.25
 """Seconds between two looks for a browser while nobody watches."""
 _CONTACT_RADIUS = 0.012
-"""Of the contact marker, as a share of the scene's longest side."""
+"""Radius of a contact marker, as a share of the scene's longest side."""
 
 log = logging.getLogger(__name__)
 
 
 class Player:
-    """Holds the scene. All methods may be called from any thread; drawing happens in the player's own."""
+    """The player of the scene. Its methods may be called from any thread; a thread of its own draws."""
 
     def __init__(
         self, server: viser.ViserServer, *, on_time: Callable[[float, float], None], on_error: Callable[[str], None]
     ) -> None:
-        """`on_time(seconds, duration)` is told a few times a second what is seen; `on_error` what can't be shown."""
+        """Start the thread that draws.
+
+        `on_time(seconds, duration)` is called a few times a second with the time in the episode, `on_error` with a
+        sentence on what can't be shown.
+        """
         self._server = server
         self._on_time = on_time
         self._on_error = on_error
@@ -59,27 +63,30 @@ class Player:
 
     @property
     def take(self) -> Take | None:
-        """What is on the scene now."""
+        """Return what is in the scene now, or None before the first shot."""
         return self._take
 
     @property
     def node_names(self) -> list[str]:
+        """Return the sorted names of the nodes that the scene has."""
         ghosts = (self._ghost, self._trail, self._population)
         layers = (self._robot, self._objects, self._scenery, *ghosts, self._contact)
         return sorted(name for layer in layers for name in layer.node_names)
 
     @property
     def playing(self) -> bool:
+        """Tell whether the episode plays; otherwise it is paused."""
         return self._playing
 
     def show(self, shot: Shot) -> None:
-        """Ask for a shot; the newest one wins."""
+        """Ask for a shot to be shown; of several requests the newest one counts."""
         with self._change:
             if shot != self._shot:
                 self._shot = shot
                 self._change.notify()
 
     def play(self, playing: bool) -> None:
+        """Play the episode, from its start if it has ended, or pause it."""
         with self._change:
             self._playing = playing
             if playing and self._take and not self._looping and self._time >= self._take.duration:
@@ -87,17 +94,21 @@ class Player:
             self._change.notify()
 
     def seek(self, seconds: float) -> None:
+        """Go to a time in the episode, in seconds."""
         with self._change:
             self._time, self._sought = max(0.0, seconds), True
             self._change.notify()
 
     def set_speed(self, speed: float) -> None:
+        """Set the speed as a multiple of real time, kept within `SPEEDS`."""
         self._speed = min(max(speed, SPEEDS[0]), SPEEDS[1])
 
     def set_looping(self, looping: bool) -> None:
+        """Set whether the episode begins again after its end."""
         self._looping = looping
 
     def stop(self) -> None:
+        """End the thread that draws; wait for it for at most five seconds."""
         with self._change:
             self._stopping = True
             self._change.notify()

@@ -24,11 +24,11 @@ _LOG_LINES = 8
 _MORE: dict[str, AnyCommand] = {"Step": StepIteration(), "Checkpoint": Checkpoint(), "Stop": Stop()}
 
 Send = Callable[[Callable[[], Sequence[AnyCommand]], viser.ClientHandle | None], None]
-"""Takes what works the commands out, so that a value it refuses is told like any other refusal."""
+"""Function send(make_commands, client), which calls make_commands(); a ValueError from it is shown like any refusal."""
 
 
 class RunPanel:
-    """Shows one run; `send` takes the commands, `on_resume` restarts a run that has ended."""
+    """The panel of one run; `send` is called with the commands, `on_resume` restarts a run that has ended."""
 
     def __init__(
         self, gui: viser.GuiApi, *, send: Send, on_resume: Callable[[viser.ClientHandle | None], None]
@@ -55,25 +55,26 @@ class RunPanel:
         self.more.on_click(lambda event: self.ask(event.target.value, event.client))
 
     def go_on(self, client: viser.ClientHandle | None) -> None:
-        """Resume: by a command to a trainer that waits, by a new trainer where the old one is gone."""
+        """Resume the run: by a command if its trainer waits, with a new trainer if the old one is gone."""
         if self._status in RESUMABLE:
             self._on_resume(client)
         else:
             self._send(lambda: [Resume()], client)
 
     def toggle(self, client: viser.ClientHandle | None) -> None:
-        """Pause what runs, and let go on what doesn't."""
+        """Pause the run while it is running, else resume it."""
         if self._status in ("running", "starting"):
             self._send(lambda: [Pause()], client)
         elif self._status in ("paused", "pausing", *RESUMABLE):
             self.go_on(client)
 
     def ask(self, word: str, client: viser.ClientHandle | None) -> None:
-        """Send the command of the button with this word."""
+        """Send the command of the button that bears this word."""
         if word in _MORE:
             self._send(lambda: [_MORE[word]], client)
 
     def show_visible(self, visible: bool) -> None:
+        """Show or hide everything in the panel."""
         for handle in self._everything:
             handle.visible = visible
         if not visible:
@@ -99,7 +100,7 @@ class RunPanel:
         self.rules.content = wording.paragraph(wording.dim(rules))
 
     def show_message(self, status: Status, message: str) -> None:
-        """Show a run that has no history to show."""
+        """Show the status of a run that has no history to show, and the reason."""
         self._status = status
         self.show_visible(False)
         self.state.visible = self.failure.visible = True
@@ -145,7 +146,7 @@ class RunPanel:
 
 
 def _of_hw_phy(history: History) -> list[tuple[str, str]]:
-    """Return what the last evaluation found."""
+    """Return what the last evaluation on Hw-Phy found, as names and values."""
     if not history.evaluations:
         return []
     last = history.evaluations[-1]
@@ -159,7 +160,7 @@ def _of_hw_phy(history: History) -> list[tuple[str, str]]:
 
 
 def _costs(progress: Progress) -> list[tuple[str, str]]:
-    """Return what else was spent so far, and lost."""
+    """Return what else was spent so far, and what was lost, as names and values."""
     costs = []
     if progress.relabelled_steps:
         costs.append(("steps for relabelling and search", wording.count(progress.relabelled_steps)))

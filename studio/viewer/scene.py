@@ -14,15 +14,16 @@ from studio.viewer.figure import Figure, Mesh
 CONTACT_COLOUR = (225, 30, 30)
 GHOST_COLOUR = (128, 142, 170)
 FIELD_OF_VIEW = math.radians(40)
-"""Vertical."""
+"""Vertical field of view of the camera, in radians."""
 _TILT = math.radians(16)
-"""How far the camera leans from straight above, where everything lies in one plane."""
+"""Angle by which the camera leans from straight above where everything lies in one plane, in radians."""
 OBLIQUE = np.array([0.55, -1.0, 0.5]) / np.linalg.norm([0.55, -1.0, 0.5])
-"""From the middle to the camera, where there is height."""
+"""Unit vector from the middle of the scene to the camera, where the scene has height."""
 _AIR, _AIR_ABOVE = 1.06, 1.18
-"""How much wider than the box the view is, from the side and from above: there, lengths are written round the box."""
+"""How much wider than the box the view is, from the side and from above, where lengths are written round the box."""
 _MOST_LABELS = 8
-"""Along a side of the grid; with more lines, every second one has its length written at it."""
+"""Largest number of lines along a side of the grid that all have their length written at them; of more, every second
+one has."""
 _RULER_COLOUR = (150, 155, 165)
 
 
@@ -48,6 +49,7 @@ class Layer:
 
     @property
     def node_names(self) -> list[str]:
+        """Return the names of the nodes that the layer has made."""
         return [batch.handle.name for batch in self._batches.values()]
 
     def show(self, figure: Figure | None, instant: int = 0, colours: np.ndarray | None = None) -> None:
@@ -130,7 +132,7 @@ class Ruler:
         self._labels: list[viser.LabelHandle] = []
 
     def show(self, floor: tuple[np.ndarray, np.ndarray], box: tuple[np.ndarray, np.ndarray]) -> None:
-        """Lay the grid on the floor, and put a pole beside the box where that is not flat; both are corners (3,)."""
+        """Draw the grid on `floor`, and a pole beside `box` unless that is flat; each is a pair of corners (3,)."""
         low, high = floor
         cell = _round_length(float(np.max(high - low)) / 10)
         start, end = np.floor(low[:2] / cell + 1e-6) * cell, np.ceil(high[:2] / cell - 1e-6) * cell
@@ -165,7 +167,7 @@ class Ruler:
 
 
 def is_flat(low: np.ndarray, high: np.ndarray) -> bool:
-    """Tell whether a box between two corners (3,) is best seen from above."""
+    """Tell whether a box between two corners (3,) is so low that it is best seen from above."""
     size = high - low
     return bool(size[2] < 0.25 * min(size[0], size[1]))
 
@@ -188,7 +190,8 @@ def camera(low: np.ndarray, high: np.ndarray, aspect: float = 0.72) -> tuple[np.
 
 
 def screen_axes(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what is right (3,) and up (3,) on the screen of a camera in this direction (3,) from its target."""
+    """Return the unit vectors (3,) that point right and up on the screen, for a camera in this direction (3,) from its
+    target."""
     right = np.cross([0.0, 0.0, 1.0], direction)
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([1.0, 0.0, 0.0])
     return right, np.cross(direction, right)
@@ -250,6 +253,6 @@ def _same(one: Mesh, other: Mesh) -> bool:
 
 
 def _round_length(length: float) -> float:
-    """Return the nearest of 1, 2 and 5 times a power of ten that is not shorter."""
+    """Return the smallest of 1, 2 and 5 times a power of ten that is not shorter than `length`."""
     power = 10.0 ** math.floor(math.log10(max(length, 1e-6)))
     return next(power * step for step in (1, 2, 5, 10) if power * step >= length * 0.999)

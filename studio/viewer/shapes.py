@@ -1,18 +1,18 @@
-"""Unit meshes that every primitive is an instance of."""
+"""Unit meshes: every primitive in the scene is a scaled instance of one of them."""
 
 import numpy as np
 
 Shape = tuple[np.ndarray, np.ndarray]
-"""Vertices (V, 3) float32 and faces (F, 3) uint32."""
+"""A mesh: vertices (V, 3) float32 and faces (F, 3) uint32."""
 
 _SIDES = 20
 _RINGS = 6
 _CAPSULE_OCTAVES = (-4, 14)
-"""Aspect buckets, in half octaves of (half-length / radius)."""
+"""Lowest and highest bucket of a capsule's aspect: log2(half-length / radius), counted in half octaves."""
 
 
 def box() -> Shape:
-    """Half-extents of one; corners are not shared, so that its edges are sharp."""
+    """Return a box with half-extents of one. Its faces share no corners, so that its edges are sharp."""
     vertices, faces = [], []
     for axis in range(3):
         for sign in (-1.0, 1.0):
@@ -25,12 +25,12 @@ def box() -> Shape:
 
 
 def cylinder() -> Shape:
-    """Radius and half-length of one, along z."""
+    """Return a cylinder along z with a radius and a half-length of one."""
     return _lathe([(0, -1), (1, -1)], [(1, -1), (1, 1)], [(1, 1), (0, 1)])
 
 
 def sphere() -> Shape:
-    """Radius of one."""
+    """Return a sphere with a radius of one."""
     return _lathe([(float(np.cos(a)), float(np.sin(a))) for a in np.linspace(-np.pi / 2, np.pi / 2, 2 * _RINGS + 1)])
 
 
@@ -46,14 +46,15 @@ def capsule_half_length(bucket: int) -> float:
 
 
 def capsule(bucket: int) -> Shape:
-    """Radius of one, along z; its length is the bucket's."""
+    """Return a capsule along z with a radius of one and the half-length of its bucket."""
     quarter = np.linspace(0, np.pi / 2, _RINGS + 1)
     top = [(float(np.cos(a)), capsule_half_length(bucket) + float(np.sin(a))) for a in quarter]
     return _lathe([(x, -z) for x, z in reversed(top)] + top)
 
 
 def _lathe(*strips: list[tuple[float, float]]) -> Shape:
-    """Turn profiles of (radius, z), from low to high, about z; strips share no corners: sharp edges between them."""
+    """Turn profiles of (radius, z), from low to high, about z. Strips share no corners, so that edges between them are
+    sharp."""
     angles = 2 * np.pi * np.arange(_SIDES) / _SIDES
     vertices, faces = [], []
     for strip in strips:

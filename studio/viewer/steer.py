@@ -11,7 +11,7 @@ from studio.viewer.run import NOT_LIVE, Send
 
 
 class SteerPanel:
-    """Edits are staged until Apply; `send` takes the commands."""
+    """A form for alpha and the projection rule. Edits wait for Apply; `send` is called with the commands."""
 
     def __init__(self, gui: viser.GuiApi, *, send: Send) -> None:
         self._in_force: tuple[float, str] | None = None
@@ -24,11 +24,11 @@ class SteerPanel:
         self.form.on_submit(lambda event: send(self.commands, event.client))
 
     def clear(self) -> None:
-        """Show no run."""
+        """Hide the form, as there is no run to steer."""
         self.form.visible = False
 
     def update(self, history: History, status: Status) -> None:
-        """Take over what is in force, once it changes: what somebody is editing stays as it is."""
+        """Show the values in force once they change; until then, what somebody is editing stays as it is."""
         self.form.visible = status not in NOT_LIVE
         in_force = _in_force(history)
         if in_force != self._in_force:
@@ -38,7 +38,7 @@ class SteerPanel:
                 self.projection.value = in_force[1]
 
     def commands(self) -> list[AnyCommand]:
-        """Return what the form changes. Raise ValueError with a sentence if a value is not allowed."""
+        """Return the commands for what was edited. Raise ValueError with a sentence if a value is not allowed."""
         alpha, projection = self.alpha.value, self.projection.value
         check_value("alpha", NotNegative, alpha)
         check_value("projection", Projection, projection)

@@ -11,11 +11,11 @@ from studio.viewer.parts import shows_parts
 from studio.viewer.player import SPEEDS, Player
 
 _TRAIL = 6
-"""Earlier designs shown at once."""
+"""Largest number of earlier designs that are shown at once."""
 
 
 class TimelinePanel:
-    """Chooses an iteration of the run and drives the player."""
+    """The panel that chooses an iteration of the run and controls how the player shows it."""
 
     def __init__(
         self,
@@ -26,7 +26,11 @@ class TimelinePanel:
         on_inject: Callable[[Callable[[], list[float]], viser.ClientHandle | None], None],
         on_refusal: Callable[[str, viser.ClientHandle | None], None],
     ) -> None:
-        """`on_choice`: another design is to be seen. `on_inject`: the run is to continue from what is seen."""
+        """Make the panel.
+
+        `on_choice` is called when another design is to be shown, `on_inject` when the run is to continue from the shown
+        one, and `on_refusal` with a sentence on what can't be done.
+        """
         self._player = player
         self._on_choice = on_choice
         self._on_refusal = on_refusal
@@ -75,17 +79,18 @@ class TimelinePanel:
 
     @property
     def shown_iteration(self) -> int:
-        """The iteration whose design is to be seen: the latest one with an episode, or the chosen one."""
+        """Return the iteration whose design is to be shown: the latest one with an episode, or the chosen one."""
         if self.follow.value:
             return self._recorded[-1] if self._recorded else self._latest
         return self.iteration.value
 
     @property
     def has_episode(self) -> bool:
+        """Tell whether the shown iteration has a recorded episode."""
         return self.shown_iteration in self._recorded
 
     def update(self, history: History, *, live: bool) -> None:
-        """Take in what a run has recorded."""
+        """Offer the iterations that a run has recorded, and say which one is shown."""
         another = self._history is None or history.record.id != self._history.record.id
         self._history = history
         if another:
@@ -102,14 +107,14 @@ class TimelinePanel:
         self.what.content = wording.paragraph(self._what())
 
     def clear(self, sentence: str) -> None:
-        """Show no run."""
+        """Show no run, and `sentence` in its place."""
         self._history, self._recorded, self._latest = None, [], 0
         for handle in (*self._choices, self.inject):
             handle.visible = False
         self.what.content = wording.paragraph(wording.text(sentence))
 
     def earlier(self, history: History) -> list[tuple[float, ...]]:
-        """Return some of the designs before the shown one, if they are wanted."""
+        """Return some of the designs before the shown one, or none unless earlier designs are wanted."""
         if not self.trail.value:
             return []
         before = [tuple(p.phi) for p in history.progress if p.iteration < self.shown_iteration]
@@ -117,24 +122,26 @@ class TimelinePanel:
         return before[::step]
 
     def show_time(self, seconds: float, duration: float) -> None:
-        """Move the scrub slider along."""
+        """Set the time slider to `seconds` of an episode of `duration` seconds; hide it where there is none."""
         for handle in (self.play, self.time, self.speed, self.loop):
             handle.visible = duration > 0
         self.time.max = max(round(duration, 2), 0.01)
         self.time.value = round(seconds, 2)
 
     def show_legend(self, legend: str) -> None:
-        """Say what the colours of the scene mean."""
+        """Show what the colours of the scene mean; `legend` is HTML."""
         if legend != self.legend.content:
             self.legend.content = legend
 
     def toggle_playback(self) -> None:
+        """Pause the episode while it plays, else play it."""
         playing = not self._player.playing
         self._player.play(playing)
         self.play.label = "Pause playback" if playing else "Play"
         self.play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
 
     def toggle_follow(self) -> None:
+        """Begin to follow the latest design, or stop following it."""
         self.follow.value = not self.follow.value
         self._on_choice()
 

@@ -14,11 +14,11 @@ from studio.viewer.charts import Chart, Curves, Trace
 from studio.viewer.parts import COLOURS, Quantity, quantities_of
 
 _FIRST_OF_PHI, _MOST_QUANTITIES = 20, 9
-"""Places in the column."""
+"""Place of the first chart of phi in the column, and the largest number of charts of phi."""
 
 
 class TracesPanel:
-    """The design's change, and a column of charts, in `tab`."""
+    """A table of the design's change, and a column of charts below it, in one tab."""
 
     def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle) -> None:
         self._gui = gui
@@ -31,11 +31,11 @@ class TracesPanel:
 
     @property
     def charts(self) -> dict[str, viser.GuiUplotHandle]:
-        """The charts that have been made, by title."""
+        """Return the handles of the charts that have been made, by title."""
         return {chart.trace.title: chart.handle for chart in self._charts.values() if chart.handle is not None}
 
     def clear(self, sentence: str) -> None:
-        """Show no run, and say why."""
+        """Show no run, and `sentence` as the reason."""
         self.note.content = wording.paragraph(wording.dim(wording.text(sentence)))
         self.note.visible = True
         self.change.visible = False
@@ -108,7 +108,7 @@ def _phi_trace(quantity: Quantity, single: bool) -> Trace:
 
 
 def _unit_of_divergence(history: History) -> str:
-    """Return the unit in brackets; z without a single unit is measured in typical steps of each component."""
+    """Return the unit of D in brackets; z without a single unit is measured in typical steps of each component."""
     try:
         unit = make_task(history.record.task, history.record.task_options).z_unit
     except (ValueError, TypeError):  # a task of another version
@@ -136,7 +136,8 @@ def _cosines(history: History) -> Curves:
 
 
 def _divergences(history: History) -> Curves:
-    """Return both distances without zeros, which a logarithmic axis can't show; a cost stays until the next search."""
+    """Return divergence and search cost without zeros, which a logarithmic axis can't show. A cost stays until the next
+    search."""
     x, *columns = _columns(history.progress, "iteration", "divergence", "search_cost")
     divergence, cost = (np.where(d > 0, d, np.nan) for d in columns)
     latest = np.maximum.accumulate(np.where(np.isfinite(cost), np.arange(len(cost)), -1))
@@ -162,7 +163,7 @@ def _shares(history: History) -> Curves:
 
 
 def _phis(history: History, quantity: Quantity) -> Curves:
-    """Return a quantity of phi, as it is shown, by iteration; iteration 0 is the initial design."""
+    """Return a quantity of phi by iteration, in the unit in which it is shown; iteration 0 is the initial design."""
     rows = [p for p in history.progress if len(p.phi) == len(history.design_space)]
     x = np.array([0.0, *(p.iteration for p in rows)])
     phi = np.array([history.initial_phi, *(p.phi for p in rows)], dtype=float)
@@ -170,12 +171,12 @@ def _phis(history: History, quantity: Quantity) -> Curves:
 
 
 def _colours(quantities: Sequence[Quantity]) -> tuple[str, ...]:
-    """Return a colour for each parameter: its part's where only one parameter is of it."""
+    """Return a colour for each parameter: that of its part, if no part has several parameters."""
     if len(quantities) == 1:
         return tuple(entry.colour for entry in quantities[0].entries)
     return COLOURS
 
 
 def _plain(name: str) -> str:
-    """Return a name of a file without what HTML could take for a tag."""
+    """Return a name that comes from a file, without the characters that HTML could take for a tag."""
     return re.sub(r"[<>&\"']", "", name)[:40]

@@ -33,10 +33,10 @@ log = logging.getLogger(__name__)
 
 
 class Viewer:
-    """Builds its panels once on a viser server; `show` is then called a few times a second with fresh histories.
+    """The panels and the scene on a viser server; `show` is called a few times a second with fresh histories.
 
     `on_command(run_id, command)`, `on_start(request)` -> run id, `on_resume(run_id)` and
-    `on_export(run_id, which, formats)` refuse by ValueError with a sentence, which is shown.
+    `on_export(run_id, which, formats)` do what people ask for; they refuse by a ValueError, whose sentence is shown.
     """
 
     def __init__(
@@ -93,13 +93,13 @@ class Viewer:
 
     @property
     def selected(self) -> str | None:
-        """The run on screen; None while the start panel is."""
+        """Return the name of the run on screen, or None while the start panel is there."""
         return self._selected
 
     def show(
         self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
     ) -> None:
-        """Show the runs as they are now; `current` is opened whenever it changes."""
+        """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
         with self._lock:
             self._histories, self._statuses = dict(histories), dict(statuses)
             if current != self._suggested:
@@ -110,7 +110,7 @@ class Viewer:
             self._refresh()
 
     def select(self, run_id: str | None) -> None:
-        """Open a run, or the start panel."""
+        """Open the run of that name, or the start panel if it is None."""
         with self._lock:
             self._selected = run_id
             self._awaited_since = time.monotonic()
@@ -118,18 +118,18 @@ class Viewer:
             self._refresh()
 
     def refuse(self, sentence: str, client: viser.ClientHandle | None) -> None:
-        """Say why something was not done: to the one who asked, and above the panels."""
+        """Say why something was not done, to the one who asked and above the panels."""
         self.tell(sentence)
         if client is not None:
             client.add_notification("Not done", sentence, color="red", auto_close_seconds=10.0)
 
     def tell(self, sentence: str | None) -> None:
-        """Show a sentence above the panels, or none."""
+        """Show a sentence above the panels; None takes the last one away."""
         self.notice.visible = sentence is not None
         self.notice.content = wording.alert(sentence) if sentence else ""
 
     def stop(self) -> None:
-        """End the viewer's thread; the server is its owner's to stop."""
+        """End the viewer's thread; the server is left to whoever started it."""
         self.player.stop()
 
     # --- what people ask for ---
@@ -262,7 +262,7 @@ class Viewer:
         self.chooser.value = chosen
 
     def _shown_design(self, history: History) -> tuple[int, np.ndarray]:
-        """Return the iteration and phi (d,) that are to be seen."""
+        """Return the iteration and phi (d,) that are to be shown."""
         try:
             return history.design(str(self.timeline.shown_iteration))
         except ValueError:  # an iteration that a resume has just voided
@@ -282,7 +282,7 @@ class Viewer:
         )
 
     def _settle_pending(self) -> None:
-        """Forget commands that were answered, and those nobody will answer any more."""
+        """Forget the commands that were answered."""
         for run_id, pending in self._pending.items():
             history = self._histories.get(run_id)
             if history is None:

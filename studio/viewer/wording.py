@@ -22,7 +22,7 @@ from morph_core.protocol import (
 )
 
 GREEN, AMBER, RED, GREY, BLUE = "#2b9a5b", "#b97a00", "#d0342c", "#7a828e", "#2f7fd1"
-"""Readable on the light and on the dark theme."""
+"""CSS colours that can be read on the light and on the dark theme."""
 
 STATUS_COLOURS: dict[Status, str] = {
     "starting": BLUE,
@@ -38,12 +38,12 @@ STATUS_COLOURS: dict[Status, str] = {
 
 
 def text(value: object) -> str:
-    """Return a value as HTML text: names and messages come from files that anyone may have written."""
+    """Return a value as text that is safe in HTML: names and messages come from files that anyone may have written."""
     return html.escape(str(value))
 
 
 def paragraph(content: str) -> str:
-    """Return HTML in the panel's type. `content` is HTML already."""
+    """Return `content`, which is HTML already, as a paragraph in the type of the panels."""
     return (
         '<div style="font-size:0.8125em;line-height:1.45;margin:0.1em 0.75em 0.5em;overflow-wrap:anywhere">'
         f"{content}</div>"
@@ -51,16 +51,18 @@ def paragraph(content: str) -> str:
 
 
 def dim(content: str) -> str:
+    """Return `content`, which is HTML already, in a paler shade."""
     return f'<span style="opacity:0.65">{content}</span>'
 
 
 def swatch(colour: str | tuple[int, int, int]) -> str:
-    """Return a small square of a CSS colour, or of red, green and blue up to 255."""
+    """Return a small square as HTML, in a CSS colour or in red, green and blue up to 255."""
     css = colour if isinstance(colour, str) else "rgb({}, {}, {})".format(*colour)
     return f'<i style="display:inline-block;width:0.7em;height:0.7em;border-radius:2px;background:{css}"></i>'
 
 
 def badge(status: Status) -> str:
+    """Return a status as HTML: white on its colour."""
     colour = STATUS_COLOURS[status]
     return (
         f'<span style="background:{colour};color:#fff;border-radius:0.6em;padding:0.1em 0.6em;font-weight:600">'
@@ -69,7 +71,7 @@ def badge(status: Status) -> str:
 
 
 def alert(sentence: str, colour: str = RED) -> str:
-    """Return a framed sentence that can't be overlooked."""
+    """Return a sentence as HTML, in a frame that can't be overlooked."""
     return paragraph(
         f'<div role="alert" style="border-left:4px solid {colour};background:{colour}22;padding:0.45em 0.7em;'
         f'border-radius:0.25em">{text(sentence)}</div>'
@@ -77,12 +79,12 @@ def alert(sentence: str, colour: str = RED) -> str:
 
 
 def size(count: int) -> str:
-    """Return a number of bytes as people say it."""
+    """Return a number of bytes in words, such as 12 kB or 1.2 MB."""
     return f"{count / 1000:.0f} kB" if count < 1e6 else f"{count / 1e6:.1f} MB"
 
 
 def rows(cells: list[tuple[str, str]]) -> str:
-    """Return names on the left and their values on the right, as HTML."""
+    """Return a table as HTML, with names on the left and their values on the right."""
     lines = "".join(
         f'<tr><td style="opacity:0.75;padding-right:0.8em">{text(name)}</td>'
         f'<td style="text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums">{text(value)}</td></tr>'
@@ -92,7 +94,7 @@ def rows(cells: list[tuple[str, str]]) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Return 42 s, 3 min 05 s or 1 h 20 min."""
+    """Return a time in words, such as 42 s, 3 min 05 s or 1 h 20 min."""
     if seconds is None or not math.isfinite(seconds) or seconds < 0:
         return "unknown"
     whole = round(seconds)
@@ -104,18 +106,19 @@ def duration(seconds: float | None) -> str:
 
 
 def count(number: int) -> str:
-    """Return 950, 12.3 k or 1.25 M."""
+    """Return a whole number in short, such as 950, 12.3 k or 1.25 M."""
     if number < 1000:
         return str(number)
     return f"{number / 1e3:.1f} k" if number < 1_000_000 else f"{number / 1e6:.2f} M"
 
 
 def percent(share: float) -> str:
+    """Return a share in percent, such as 42 %."""
     return f"{100 * share:.0f} %"
 
 
 def phi_in_words(phi: list[float], space: DesignSpace) -> str:
-    """Return "link_1 3 m, link_2 1.5 m"."""
+    """Return the values of phi in words, such as "link_1 3 m, link_2 1.5 m"."""
     return ", ".join(f"{p.name} {value:.4g} {p.unit}" for p, value in zip(space.parameters, phi, strict=False))
 
 

@@ -1,0 +1,59 @@
+# For vulture: names that only others read. Each stands under the reason why it is no dead code.
+
+# MuJoCo reads what is set on a spec, a model or an option.
+_.conaffinity
+_.contype
+_.ctrllimited
+_.disableflags
+_.explicitinertial
+_.forcelimited
+_.forcerange
+_.fullinertia
+_.intprm
+_.ipos
+_.ls_iterations
+_.modelname
+_.savecompiled
+
+# viser reads what is set on a handle.
+_.animated
+_.batched_colors
+_.batched_positions
+_.batched_scales
+_.batched_wxyzs
+_.color
+_.disabled
+_.fov
+_.icon
+_.look_at
+
+# zipfile and trimesh read these.
+_.compress_type
+_.external_attr
+_.visual
+
+# Fields of messages and records: written here, read by a browser, another program or a person.
+_.commands_sha256
+_.deterministic_return
+_.export_versions
+_.last_seq
+_.mime_type
+_.part_count
+_.part_index
+_.size_bytes
+_.source_component_uuid
+_.transfer_uuid
+
+# Asked for by name: the websocket by the server, the environments by Gymnasium and by other libraries.
+_.bridge
+_.TaskEnv
+_.TaskVectorEnv
+_.observation_space
+
+# Tests look through them.
+_.charts
+_.decode_command
+_.servo_flange
+
+# A part of the task's contract, for those who write a task.
+_.DifferentiableHardware
