@@ -34,12 +34,16 @@ _.visual
 
 # Fields of messages and records: written here, read by a browser, another program or a person.
 _.commands_sha256
+_.cosine_negative
+_.design_sigma
 _.deterministic_return
 _.export_versions
 _.last_seq
+_.method_titles
 _.mime_type
 _.part_count
 _.part_index
+_.policy_std
 _.size_bytes
 _.source_component_uuid
 _.transfer_uuid
@@ -54,6 +58,17 @@ _.observation_space
 _.charts
 _.decode_command
 _.servo_flange
+
+# Classes that the catalogue finds in their folder, by name.
+_.Gaussian
+_.Gradient
+_.MouseClick
+_.PenPress
+_.Reacher
+
+# Python asks for these.
+_.__getattr__
+_.memo
 
 # A part of the task's contract, for those who write a task.
 _.DifferentiableHardware

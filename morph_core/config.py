@@ -94,6 +94,17 @@ def _check_range(name: str, meta: Meta, value: float) -> None:
         raise ValueError(f"{name} must be a multiple of {meta.multiple_of}, not {value}")
 
 
+def range_in_signs(meta: Meta | None) -> str:
+    """Return a range as a form or a help text shows it: "> 0", "0 to 1"; empty where there is none."""
+    lo, hi = limits(meta)
+    if meta is None or (lo is None and hi is None):
+        return ""
+    low, high = (">" if meta.ge is None else "\u2265"), ("<" if meta.le is None else "\u2264")
+    ends = [f"{low} {lo:g}"] if lo is not None else []
+    ends += [f"{high} {hi:g}"] if hi is not None else []
+    return ", ".join(ends + ([f"a multiple of {meta.multiple_of}"] if meta.multiple_of else []))
+
+
 def _allowed(meta: Meta) -> str:
     """Return the range in words, to follow "must"."""
     lo, hi = limits(meta)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import msgspec
 
 from morph_core.catalogue import alternatives
-from morph_core.config import Settings, kinds_of, limits, range_of
+from morph_core.config import Settings, kinds_of, limits, range_in_signs, range_of
 from morph_core.method import Method
 from morph_core.task import Task
 
@@ -30,6 +30,8 @@ class Field(msgspec.Struct, frozen=True, kw_only=True):
     """The smallest value that is allowed, or the one above which it must lie."""
     hi: float | None = None
     """The largest value that is allowed."""
+    range: str = ""
+    """What is allowed, for people: "> 0, ≤ 1"."""
     only_with: str | None = None
     """The choice of the field before the dot with which this one can be set; None: with any."""
 
@@ -81,8 +83,14 @@ def _field(instance: object, name: str, path: str) -> Field:
     kind = type(default).__name__ if choices else getattr(bare, "__name__", "object")
     lo, hi = limits(meta)
     return Field(
-        name=path, type=kind, default=default, choices=choices, doc=docs_of(type(instance)).get(name, ""), lo=lo, hi=hi
-    )
+        name=path, type=kind, default=default, choices=choices, doc=docs_of(type(instance)).get(name, ""),
+        lo=lo, hi=hi, range=range_in_signs(meta),
+    )  # fmt: skip
+
+
+def told(field: Field) -> str:
+    """Return what a form or a help text says of a field: its docstring, and what is allowed."""
+    return f"{field.doc} Allowed: {field.range}." if field.range else field.doc
 
 
 @functools.cache

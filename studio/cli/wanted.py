@@ -13,7 +13,7 @@ from morph_core.config import paths_of
 from morph_core.method import Method
 from morph_core.task import Task
 from studio.cli.arguments import UsageError, options, parse, value_after
-from studio.fields import Field, chosen_fields, docs_of, fields_of
+from studio.fields import Field, chosen_fields, docs_of, fields_of, told
 
 DEFAULT_METHOD = "morph"
 _KINDS: dict[str, type] = {"int": int, "float": float, "str": str, "bool": bool}
@@ -129,7 +129,7 @@ def _flag(field: Field) -> tuple[str, Any, Any]:
     """Return one field of such a dataclass; a choice has another name in it than the group of what is chosen."""
     kind = Literal[tuple(field.choices)] if field.choices else _KINDS[field.type]  # pyright: ignore
     name = field.name.rpartition(".")[2]
-    return name, Annotated[kind, tyro.conf.arg(name=name, help=field.doc)], field.default
+    return name, Annotated[kind, tyro.conf.arg(name=name, help=told(field))], field.default
 
 
 def _value(asked: Any, field: Field) -> object:

@@ -10,7 +10,7 @@ import viser
 from morph_core.catalogue import make_method
 from morph_core.method import Method
 from morph_core.task import Task
-from studio.fields import Field, chosen_fields
+from studio.fields import Field, chosen_fields, told
 
 _PARTS = ("exploration", "search")
 """What is chosen by name in sight; other choices of a plug-in's method are among the settings that are folded away."""
@@ -106,15 +106,16 @@ class SettingsForm:
         label = field.name.rpartition(".")[2].replace("_", " ")
         if field.choices:
             choices = [str(choice) for choice in field.choices]
-            return self._gui.add_dropdown(label, choices, initial_value=str(field.default), hint=field.doc)
+            return self._gui.add_dropdown(label, choices, initial_value=str(field.default), hint=told(field))
         default: Any = field.default
         return self._gui.add_number(
-            label, default, min=_as(default, field.lo), max=_as(default, field.hi), step=_step(default), hint=field.doc
+            label,
+            default,
+            min=_as(default, field.lo),
+            max=_as(default, field.hi),
+            step=_step(default),
+            hint=told(field),
         )
-
-
-def _as(default: float, limit: float | None) -> float | None:
-    return None if limit is None else type(default)(limit)
 
 
 def _step(default: float) -> float:

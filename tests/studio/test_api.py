@@ -85,7 +85,8 @@ def test_tasks_come_with_everything_a_form_needs(served: Served) -> None:
     assert options["tunnel"]["default"] == "zigzag"
     settings = {field["name"]: field for field in reacher["settings"]["morph"]}
     assert settings["alpha"] == {
-        "name": "alpha", "type": "float", "default": 1.0, "choices": None, "lo": 0.0, "hi": None, "only_with": None,
+        "name": "alpha", "type": "float", "default": 1.0, "choices": None, "lo": 0.0, "hi": None, "range": "≥ 0",
+        "only_with": None,
         "doc": "alpha: weight of the divergence between proxy and Hw-Phy in Eq. 2.",
     }  # fmt: skip
     assert settings["exploration"]["choices"] == ["design", "gaussian"]
