@@ -108,14 +108,8 @@ class SettingsForm:
             choices = [str(choice) for choice in field.choices]
             return self._gui.add_dropdown(label, choices, initial_value=str(field.default), hint=told(field))
         default: Any = field.default
-        return self._gui.add_number(
-            label,
-            default,
-            min=_as(default, field.lo),
-            max=_as(default, field.hi),
-            step=_step(default),
-            hint=told(field),
-        )
+        lo, hi = (None if limit is None else type(default)(limit) for limit in (field.lo, field.hi))
+        return self._gui.add_number(label, default, min=lo, max=hi, step=_step(default), hint=told(field))
 
 
 def _step(default: float) -> float:
