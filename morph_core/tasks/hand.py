@@ -66,9 +66,23 @@ class Hand:
         (near, far), (short, long) = PLACEMENT_BOX, LENGTH_BOX
         return DesignSpace(
             (
-                *(Parameter(f"placement_{i}", "rad", near, far, 0.0, near, far, scale=0.15) for i in fingers),
                 *(
-                    Parameter(f"length_{i}", "m", short, long, self.initial_length, short, long, 0.08, group="length")
+                    Parameter(f"placement_{i}", "rad", near, far, 0.0, near, far, scale=0.15, part=f"finger_{i}")
+                    for i in fingers
+                ),
+                *(
+                    Parameter(
+                        f"length_{i}",
+                        "m",
+                        short,
+                        long,
+                        self.initial_length,
+                        short,
+                        long,
+                        scale=0.08,
+                        group="length",
+                        part=f"finger_{i}",
+                    )
                     for i in fingers
                 ),
             )

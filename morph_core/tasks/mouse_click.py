@@ -41,12 +41,11 @@ class MouseClick(GraspTask):
     mass: float = 0.4
     """kg: of the mouse without its button. Half of it can be lifted without learning to squeeze."""
     travel: float = 0.015
-    """m: of the button."""
-    stiffness: float = 60.0
-    """N/m: of the button's spring."""
+    """m: the button's way."""
 
     name: ClassVar[str] = "mouse_click"
     title: ClassVar[str] = "5-finger hand lifts a mouse and presses its button"
+    object_noun: ClassVar[str] = "mouse"
     fingers: ClassVar[int] = 5
 
     @property
@@ -56,10 +55,6 @@ class MouseClick(GraspTask):
     @property
     def half_extents(self) -> np.ndarray:
         return np.array([self.length, self.width, self.height]) / 2
-
-    @property
-    def button_travel(self) -> float:
-        return self.travel
 
     def add_object(self, spec: mujoco.MjSpec) -> None:
         size = 2 * self.half_extents

@@ -29,22 +29,15 @@ class PenPress(GraspTask):
     """m."""
     mass: float = 0.15
     """kg."""
-    travel: float = 0.02
-    """m: of the button."""
-    stiffness: float = 60.0
-    """N/m: of the button's spring."""
 
     name: ClassVar[str] = "pen_press"
     title: ClassVar[str] = "4-finger hand lifts a pen and presses its button"
+    object_noun: ClassVar[str] = "pen"
     fingers: ClassVar[int] = 4
 
     @property
     def half_extents(self) -> np.ndarray:
         return np.array([self.half_length, self.half_width, self.half_width])
-
-    @property
-    def button_travel(self) -> float:
-        return self.travel
 
     def add_object(self, spec: mujoco.MjSpec) -> None:
         pen = add_free_body(spec, self.half_width)

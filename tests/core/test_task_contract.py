@@ -1,5 +1,7 @@
 """What every task must keep: a task is done when this suite passes for it."""
 
+import inspect
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -29,6 +31,60 @@ def test_names_units_and_the_initial_design_are_there(task: Task) -> None:
     assert task.title
     assert all(p.name and p.unit for p in task.design_space.parameters)
     task.design_space.check(task.design_space.initial)
+
+
+def test_the_docstring_and_the_rule_of_success_are_one_sentence(task: Task) -> None:
+    assert task.success_rule.endswith(".")
+    assert f"Success: {task.success_rule}" in " ".join((inspect.getdoc(type(task)) or "").split())
+
+
+def test_each_parameter_names_a_part_of_the_robot_or_none(task: Task) -> None:
+    model = task.spec(task.design_space.initial).compile()
+    names = [model.body(i).name for i in range(model.nbody)]
+    assert all(any(name.startswith(p.part) for name in names) for p in task.design_space.parameters)
+
+
+def test_every_member_explains_itself(task: Task) -> None:
+    for name, member in vars(Task).items():
+        if not name.startswith("_"):
+            assert inspect.getdoc(member if isinstance(member, property) else getattr(task, name)), name
+
+
+def test_observation_units_make_what_is_observed_dimensionless(task: Task) -> None:
+    if task.observation_units is None:
+        return
+    middle, spread = task.observation_units
+    assert middle.shape == spread.shape == (task.observation_size,)
+    assert (spread > 0).all()
+    rng = np.random.default_rng(6)
+    hw_phy = task.hw_phy(task.design_space.initial)
+    s = task.reset(hw_phy, N, rng)
+    for _ in range(5):
+        s = task.step(hw_phy, s, rng.uniform(-1, 1, (N, task.action_size))).s
+    x = middle + spread * task.observe(s)
+    seen = [np.isclose(column, s, rtol=1e-4, atol=1e-5).all(0).any() for column in x.T[..., None]]
+    assert any(seen)
+    assert np.abs(task.observe(s)).max() < 20
+
+
+def test_action_units_are_what_an_action_of_one_asks_for(task: Task) -> None:
+    if task.action_units is None:
+        return
+    rng = np.random.default_rng(7)
+    hw_phy = task.hw_phy(task.design_space.initial)
+    action = rng.uniform(-1, 1, (N, task.action_size))
+    step = task.step(hw_phy, task.reset(hw_phy, N, rng), action)
+    free = np.isclose(step.a, task.action_units * action, atol=1e-12).all(1)
+    assert free.any(), "contact may cut actions short, but not all of them at the start"
+
+
+def test_hardware_from_the_scene_is_the_hardware_of_its_design(task: Task) -> None:
+    rng = np.random.default_rng(8)
+    phi = task.design_space.initial
+    hw_phy, reloaded = task.hw_phy(phi), task.hw_phy_from(task.scene(phi), phi)
+    s = task.reset(hw_phy, N, rng)
+    step = task.step(hw_phy, s, rng.uniform(-1, 1, (N, task.action_size)))
+    np.testing.assert_allclose(reloaded(s, step.a), step.z, rtol=0, atol=1e-9)
 
 
 def test_shapes_are_as_declared(task: Task) -> None:
