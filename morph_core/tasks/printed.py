@@ -1,6 +1,6 @@
 """Mass, centre of mass and inertia of the printed parts: polynomials in a link's length, a sum over a palm's mounts.
 
-The parts themselves are drawn in `studio.geometry`, whose tests compare them with the numbers here. They are printed
+The parts themselves are drawn in `studio.robots.geometry`, whose tests compare them with the numbers here. They are printed
 solid, so that mass is spread evenly; pins, bolts and servos are not in it.
 """
 
@@ -11,12 +11,11 @@ import mujoco
 import numpy as np
 
 DENSITY = 1240.0  # kg/m^3: PLA
-INFILL = 1.0  # share of the volume that is printed
 ARM_SCALE = 2.5
-"""The reacher's links are the hands' links, enlarged."""
+"""How many times larger the arm's links are than a finger's, from which they are made."""
 
 Servo = Literal["none", "mg90s"]
-"""For which the palm has pockets, one for each finger."""
+"""The servo for which the palm has pockets, one for each finger."""
 LinkKind = Literal["proximal", "distal"]
 """A proximal link ends in a clevis, a distal one in a fingertip."""
 
@@ -54,10 +53,10 @@ class Moments:
     def scaled(self, factor: float) -> "Moments":
         return Moments(factor**3 * self.volume, factor**4 * self.first, factor**5 * self.second)
 
-    def inertial(self) -> Inertial:
+    def inertial(self, density: float = DENSITY) -> Inertial:
+        """Return the mass properties of a body of `density` kg/m^3."""
         com = self.first / self.volume
         central = self.second - self.volume * np.outer(com, com)
-        density = DENSITY * INFILL
         return Inertial(density * self.volume, com, density * (np.trace(central) * np.eye(3) - central))
 
 
@@ -81,7 +80,7 @@ class LinkMoments:
         return Moments(value(self.volume), first, np.diag([value(self.xx), value(self.yy), value(self.zz)]))
 
 
-# Printed by `python -m studio.geometry`.
+# Printed by `python -m studio.robots.geometry`.
 LINKS = {
     "proximal": LinkMoments(
         volume=(-1.3708064232412148e-06, 0.00025619365751953116),
@@ -157,5 +156,5 @@ def palm_inertial(angles: np.ndarray, servo: Servo = "none") -> Inertial:
 
 
 def arm_link_inertial(kind: LinkKind, length: float) -> Inertial:
-    """Return a link of the reacher of `length` m; its frame is at its joint, it lies along x."""
+    """Return a link of the arm of `length` m; its frame is at its joint, it lies along x."""
     return LINKS[kind].at(length / ARM_SCALE).scaled(ARM_SCALE).turned(LAID).inertial()

@@ -11,9 +11,8 @@ import numpy as np
 from morph_core.run_folder import RunFolder, read_episode
 from morph_core.task import Task
 from morph_core.tasks import make_task
-from studio.export.errors import ExportError
-from studio.export.meshes import stl_files
-from studio.export.parts import dress, printed_parts
+from studio.robots.chooser import robot_of
+from studio.robots.parts import dress, stl_files
 from studio.viewer.figure import Figure, smooth
 
 Corners = tuple[np.ndarray, np.ndarray]
@@ -153,10 +152,10 @@ def make_take(shot: Shot) -> Take:
 
 def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, mujoco.MjModel]:
     """Return the scene, and the robot alone; a robot that can't be assembled shows its collision shapes."""
-    specs = [task.scene(phi), task.spec(phi)]
-    if printed:
-        with contextlib.suppress(ExportError):
-            parts = printed_parts(task, phi)
+    specs, robot = [task.scene(phi), task.spec(phi)], robot_of(task)
+    if printed and robot.printed:
+        with contextlib.suppress(ValueError):
+            parts = robot.parts(phi)
             files = stl_files(parts)
             specs = [dress(spec, parts, files) for spec in specs]
     scene, alone = (spec.compile() for spec in specs)
