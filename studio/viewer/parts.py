@@ -110,9 +110,10 @@ def _parts(task: str, options: str, phi: tuple[float, ...]) -> Mapping[str, tupl
         model = made.spec(np.array(phi)).compile()
     except (ValueError, TypeError):  # a task of another version: its run is still worth seeing
         return {}
+    names = [model.geom(i).name or model.body(int(model.geom_bodyid[i])).name for i in range(model.ngeom)]
     parts: dict[str, tuple[str, str]] = {}
     for p in made.design_space.parameters:
-        geoms = [i for i in range(model.ngeom) if p.part and _belongs(model.geom(i).name, p.part)]
+        geoms = [i for i, name in enumerate(names) if p.part and _belongs(name, p.part)]
         if geoms:
             r, g, b = 255 * model.geom_rgba[geoms[0], :3]
             parts[p.name] = (p.part, f"rgb({r:.0f}, {g:.0f}, {b:.0f})")

@@ -12,13 +12,51 @@ import morph_core.envs  # noqa: F401 - registers the tasks
 from morph_core.rollout import collect
 from morph_core.task import Task
 from morph_core.tasks import TASKS, make_task
+from tests.foreign import Pointer
 
 N = 6
 
 
 @pytest.fixture(params=sorted(TASKS))
-def task(request: pytest.FixtureRequest) -> Task:
+def listed(request: pytest.FixtureRequest) -> Task:
+    """A task that has its line in `TASKS`."""
     return make_task(request.param)
+
+
+@pytest.fixture(params=[*sorted(TASKS), Pointer.name])
+def task(request: pytest.FixtureRequest) -> Task:
+    """One of those, or a small one of another package that leans on the defaults of the protocol."""
+    return Pointer() if request.param == Pointer.name else make_task(request.param)
+
+
+def test_a_task_is_listed_by_its_name(listed: Task) -> None:
+    assert listed.name in TASKS
+
+
+def test_a_task_that_lacks_a_member_says_which() -> None:
+    class Half(Pointer):
+        observe = Task.observe
+
+    with pytest.raises(TypeError, match="observe"):
+        Half()
+
+
+def test_what_a_small_task_leaves_out_has_a_default_that_suits() -> None:
+    task, phi = Pointer(), np.full((3, 2), 0.3)
+    assert (task.title, task.z_unit, task.z_scale, task.explorations) == ("pointer", "", 1.0, ("design",))
+    assert task.initial_action.tolist() == [0, 0]
+    assert task.buildable(phi).tolist() == [True] * 3
+    assert task.solved(np.array([[True, False], [False, False]])).tolist() == [True, False]
+    s, a = np.array([[0.3, -0.3]]), np.array([[0.3, 0.15]])
+    np.testing.assert_allclose(task.proxy_input(s, a), [[0.1, -0.1, 1, 0.5]], rtol=1e-6)
+
+    class Fragile(Pointer):
+        def buildable(self, phi: np.ndarray) -> np.ndarray:
+            return phi[..., 0] > 0.2
+
+    Fragile().check_buildable(np.array([0.3, 0.1]))
+    with pytest.raises(ValueError, match="pointer can't be put together"):
+        Fragile().check_buildable(np.array([0.1, 0.3]))
 
 
 def random_designs(task: Task, rng: np.random.Generator) -> np.ndarray:
@@ -27,7 +65,6 @@ def random_designs(task: Task, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_names_units_and_the_initial_design_are_there(task: Task) -> None:
-    assert task.name in TASKS
     assert task.title
     assert all(p.name and p.unit for p in task.design_space.parameters)
     task.design_space.check(task.design_space.initial)
@@ -171,17 +208,17 @@ def test_robot_and_scene_compile_at_every_corner_of_the_box(task: Task) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space.*infinity")
-def test_gymnasium_accepts_the_environment(task: Task) -> None:
-    check_env(gymnasium.make(_id(task)).unwrapped)
+def test_gymnasium_accepts_the_environment(listed: Task) -> None:
+    check_env(gymnasium.make(_id(listed)).unwrapped)
 
 
-def test_the_vector_environment_ends_and_restarts_episodes(task: Task) -> None:
-    env = gymnasium.make_vec(_id(task), num_envs=N, vectorization_mode="vector_entry_point")
+def test_the_vector_environment_ends_and_restarts_episodes(listed: Task) -> None:
+    env = gymnasium.make_vec(_id(listed), num_envs=N, vectorization_mode="vector_entry_point")
     first, _ = env.reset(seed=7)
     assert np.array_equal(first, env.reset(seed=7)[0])
     env.action_space.seed(7)
     ended = np.zeros(N, dtype=int)
-    for _ in range(2 * task.horizon + 2):
+    for _ in range(2 * listed.horizon + 2):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
         assert observation in env.observation_space
         assert not (terminated & truncated).any()
@@ -191,14 +228,14 @@ def test_the_vector_environment_ends_and_restarts_episodes(task: Task) -> None:
     assert (ended >= 2).all()
 
 
-def test_the_environment_takes_designs_and_refuses_wrong_ones(task: Task) -> None:
-    env = gymnasium.make(_id(task))
-    phi = task.design_space.hi
+def test_the_environment_takes_designs_and_refuses_wrong_ones(listed: Task) -> None:
+    env = gymnasium.make(_id(listed))
+    phi = listed.design_space.hi
     assert env.reset(options={"phi": phi})[1]["phi"].tolist() == phi.tolist()
     with pytest.raises(ValueError, match="must lie inside"):
         env.reset(options={"phi": 2 * phi + 1})
     with pytest.raises(ValueError, match="finite"):
-        env.unwrapped.step(np.full(task.action_size, np.nan))
+        env.unwrapped.step(np.full(listed.action_size, np.nan))
 
 
 def _id(task: Task) -> str:
