@@ -12,12 +12,12 @@ from studio.viewer.scene import OBLIQUE, is_flat, screen_axes
 from studio.viewer.take import Shot, make_take
 
 _MARGIN = 0.06
-"""Of the picture's larger side."""
+"""The margin as a share of the picture's larger side."""
 _TABLE = 1.2
-"""Times what stands on it."""
+"""How many times larger a table is drawn than what stands on it."""
 _LIGHT = np.array([-0.35, -0.5, 0.8]) / np.linalg.norm([-0.35, -0.5, 0.8])
 _AMBIENT = 0.62
-"""Share of its colour that a face keeps in the shade."""
+"""The share of its colour that a face keeps in the shade."""
 
 
 def preview_svg(task_name: str) -> str:

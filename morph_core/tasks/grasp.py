@@ -91,7 +91,7 @@ class GraspTask(Task):
     goal_bonus: float = 10.0
     """beta_2: reward while a distal link presses the button and the object is in the hand."""
     reward_scale: float = 0.2
-    """All of the above are multiplied by it."""
+    """All weights and the bonus are multiplied by it."""
     palm_step: float = 0.05
     """m: the largest change of the palm's target."""
     joint_step: float = 0.3
@@ -106,9 +106,9 @@ class GraspTask(Task):
     start_noise: float = 0.01
     """m: the object starts this far off the middle at most, and turned by up to 5 rad per metre of it."""
     travel: float = 0.02
-    """m: the button's way."""
+    """m: how far the button can be pressed in."""
     stiffness: float = 60.0
-    """N/m: the button's spring."""
+    """N/m: the stiffness of the button's spring."""
 
     horizon: int = field(default=40, init=False)
     control_dt: float = field(default=TIMESTEP * SUBSTEPS, init=False)

@@ -16,8 +16,8 @@ from morph_core.tasks.hand import OBJECT_CONTACT, Hand
 ASSETS = Path(__file__).parents[2] / "assets"
 PARTS = ("body", "left", "right")
 BUTTON_MIDDLE, BUTTON_HALF_SIZE = (0.31, 0.15, 0.2), (0.15, 0.24, 0.12)
-"""Shares of the mouse's length, width and height, from its middle: on the recess of its left front, and across the
-middle, so that a finger that points ahead can press it."""
+"""Middle and half-size of the button as shares of the mouse's length, width and height, from the mouse's middle: on the
+recess of its left front, and across the middle, so that a finger that points ahead can press it."""
 
 START_GAP = 0.03  # m: between mouse and fingertips
 
@@ -33,15 +33,15 @@ class MouseClick(GraspTask):
     """
 
     length: float = 0.62
-    """m: from rear to front."""
+    """m: the mouse from rear to front."""
     width: float = 0.46
-    """m: fingers of the initial design reach no further down than its shoulders; those of .2 m get round them."""
+    """m: the mouse's width: fingers of the initial design reach its shoulders only, those of .2 m get round them."""
     height: float = 0.14
-    """m."""
+    """m: the mouse's height."""
     mass: float = 0.4
-    """kg: of the mouse without its button. Half of it can be lifted without learning to squeeze."""
+    """kg: the mass of the mouse without its button. Half of it can be lifted without learning to squeeze."""
     travel: float = 0.015
-    """m: the button's way."""
+    """m: how far the button can be pressed in."""
 
     name: ClassVar[str] = "mouse_click"
     title: ClassVar[str] = "5-finger hand lifts a mouse and presses its button"

@@ -24,11 +24,11 @@ class PenPress(GraspTask):
     """
 
     half_length: float = 0.28
-    """m: the button reaches .32 m, beyond the fingers of the initial design (.30 m)."""
+    """m: half the pen's length; the button reaches .32 m, beyond the fingers of the initial design (.30 m)."""
     half_width: float = 0.03
-    """m."""
+    """m: half the pen's width and height."""
     mass: float = 0.15
-    """kg."""
+    """kg: the mass of the pen without its button."""
 
     name: ClassVar[str] = "pen_press"
     title: ClassVar[str] = "4-finger hand lifts a pen and presses its button"

@@ -31,7 +31,7 @@ class Tunnel:
     ys: tuple[float, ...]
     """m: height of the centre line there."""
     gap: float
-    """m: vertical width."""
+    """m: the vertical width of the corridor."""
     goal: tuple[float, float]
     goal_radius: float
     start_headings: tuple[float, ...]
@@ -158,7 +158,7 @@ class Reacher(Task):
     stuck_cost: float = 10.0
     """Cost of each step of a design whose start posture reaches into the tunnel or a wall."""
     reward_scale: float = 0.02
-    """All of the above are multiplied by it: returns of order one suit the critic."""
+    """All weights, bonuses and costs are multiplied by it: returns of order one suit the critic."""
 
     name: str = field(default="reacher", init=False)
     title: str = field(default="5-link arm through a zig-zag tunnel", init=False)

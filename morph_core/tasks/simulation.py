@@ -16,7 +16,7 @@ TIMESTEP = 0.01  # s
 SUBSTEPS = 10
 """Physics steps per control step."""
 SENSOR_SIZE = 4
-"""Each contact sensor: how many contacts, and where the strongest is."""
+"""How many numbers a contact sensor gives: how many contacts there are, and where the strongest is."""
 FASTEST = 100.0
 """m/s or rad/s: a simulation that moves faster has exploded."""
 

@@ -35,12 +35,12 @@ from studio.robots.robot import Program, Robot
 
 FORMATS = ("mjcf", "urdf", "stl", "3mf", "glb")
 OPTIONAL_FORMATS = ("step",)
-"""Only where it is asked for: it needs build123d and takes long."""
+"""Formats that are written only where they are asked for: STEP needs build123d and takes long."""
 ALL_FORMATS = (*FORMATS, *OPTIONAL_FORMATS)
 MESH_FORMATS = ("stl", "3mf", "glb", "step")
-"""What is made of parts."""
+"""Formats that are made of parts."""
 EPISODES = 32
-"""For the policy's success on the exported files: three seconds are all that an export may take."""
+"""How many episodes measure the policy's success on the exported files: an export may take three seconds for it."""
 _SHIPPED = Path(__file__).parent / "shipped"
 
 
@@ -53,7 +53,7 @@ class Bundle:
     files: Mapping[str, bytes]
     checks: Sequence[Check]
     content: bytes
-    """The zip."""
+    """The bytes of the zip."""
 
 
 def build_bundle(history: History, which: str, formats: Sequence[str] | None = None) -> Bundle:

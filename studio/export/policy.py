@@ -18,7 +18,7 @@ from studio.robots.robot import Program
 
 LAYERS = 3
 SMALLEST_STD, LARGEST_STD = 0.02, 2.0
-"""As in `morph_core.networks`, which needs torch."""
+"""Limits of the standard deviation, as in `morph_core.networks`, which needs torch."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Policy:
     biases: list[np.ndarray]
     std: np.ndarray  # (action_size,)
     iteration: int
-    """Of the checkpoint."""
+    """The iteration of the checkpoint it was read from."""
 
     def act(self, observation: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
         """Return actions (N, action_size) for observations (N, o); the mean where `rng` is None."""

@@ -26,7 +26,7 @@ from studio.robots.geometry import moments
 from studio.robots.parts import BASE, MILLIMETRE, body_of
 
 MASS_ALLOWED = 1e-6
-"""Relative: STL and GLB are single precision."""
+"""Relative difference of masses that is allowed: STL and GLB are single precision."""
 SINGLE_ALLOWED = 1e-6  # relative to the robot's size
 SCENE_ALLOWED = 1e-9
 _DYNAMICS = (
@@ -36,7 +36,7 @@ _DYNAMICS = (
 )  # fmt: skip
 PROVENANCE = "provenance.json"
 Surface = tuple[np.ndarray, np.ndarray]
-"""Vertices (V, 3) m and faces (F, 3)."""
+"""A closed surface: vertices (V, 3) m and faces (F, 3)."""
 
 
 def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = False) -> list[Check]:

@@ -18,9 +18,10 @@ from studio.robots.parts import free_name, link_names
 from studio.robots.stl import stl
 
 NO_LIMIT = 1e6
-"""Stands in for a limit that the task does not set, where URDF demands one (N, N m, m/s, rad/s, m)."""
+"""The number that stands in for a limit which the task does not set, where URDF demands one (N, N m, m/s, rad/s, m)."""
 CARRIER_MASS = 1e-12
-"""kg and kg m^2: of links that are only a frame. Readers refuse a moving link without mass, or make it a kilogram."""
+"""kg and kg m^2: mass and inertia of links that are only a frame: without mass, readers refuse a moving link or make it
+a kilogram."""
 MESHES = "meshes_urdf"
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 
@@ -30,10 +31,10 @@ class Names:
     """What the links and joints of a model are called in its URDF: unique, never empty."""
 
     links: list[str]
-    """One per body; the first is the base."""
+    """Names of the links, one per body; the first is the base."""
     joints: list[str]
     sites: list[str]
-    """Frames, written as links of no size and negligible mass."""
+    """Names of the sites, which are written as links of no size and negligible mass."""
 
 
 def urdf_names(model: mujoco.MjModel) -> Names:

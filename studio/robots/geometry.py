@@ -4,14 +4,16 @@ A link hangs from its joint along -z and turns about y. Only its prismatic shaft
 mass properties are the polynomials of `morph_core.tasks.printed`, and the shortest link is one body like the longest.
 """
 
+import json
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import get_args
 
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
-from morph_core.tasks.printed import ARM_SCALE, LAID, LinkKind, LinkMoments, Moments, Servo
+from morph_core.tasks.printed import ARM_SCALE, FILE, LAID, LinkKind, LinkMoments, Moments, Servo
 
 
 @dataclass(frozen=True)
@@ -309,21 +311,17 @@ def measured_link(kind: LinkKind, sizes: Sizes = SIZES) -> LinkMoments:
     )
 
 
-def _constants() -> str:
-    """Return the constants of `morph_core.tasks.printed`, as Python."""
-    lines = ["LINKS = {"]
-    for kind in ("proximal", "distal"):
-        fields = (f"        {name}={value!r}," for name, value in vars(measured_link(kind)).items())
-        lines += [f'    "{kind}": LinkMoments(', *fields, "    ),"]
-    lines.append("}")
-    for name, part in (("PLATE", plate()), ("MOUNT", mount(SIZES, overlap=0.0)), ("POCKET", pocket())):
+def measured() -> dict[str, object]:
+    """Return what `morph_core.tasks.printed` knows of the parts as they are drawn here, in metres."""
+    drawn: dict[str, object] = {"links": {kind: vars(measured_link(kind)) for kind in get_args(LinkKind)}}
+    for name, part in (("plate", plate()), ("mount", mount(SIZES, overlap=0.0)), ("pocket", pocket())):
         m = moments(*mesh(part)).scaled(1e-3)
         # All are symmetric about y = 0, the palm's plate in every direction round its axis.
-        first = [0.0 if name == "PLATE" else float(m.first[0]), 0.0, float(m.first[2])]
+        first = [0.0 if name == "plate" else float(m.first[0]), 0.0, float(m.first[2])]
         second = np.where(np.abs(m.second) > 1e-9 * np.abs(m.second).max(), m.second, 0.0).tolist()
-        lines += [f"{name} = Moments({m.volume!r},", f"    np.array({first}),", f"    np.array({second}),", ")"]
-    return "\n".join(lines)
+        drawn[name] = {"volume": m.volume, "first": first, "second": second}
+    return drawn
 
 
 if __name__ == "__main__":
-    print(_constants())  # noqa: T201
+    FILE.write_text(json.dumps(measured(), indent=1) + "\n")

@@ -15,7 +15,7 @@ STL_FOLDER = "parts"
 BASE = "base"
 """The name of the link that stands still, as in the URDF."""
 COLLISION_GROUP, VISUAL_GROUP = 3, 2
-"""Viewers show the groups 0 to 2 unless told otherwise."""
+"""Groups of geoms: viewers show 0 to 2 unless told otherwise."""
 MILLIMETRE = 0.001  # m
 
 
@@ -24,13 +24,13 @@ class Part:
     """One part, in the frame of its link."""
 
     name: str
-    """The name of its files: that of the first link that is made from it."""
+    """The name of the part's files: that of the first link that is made from it."""
     links: tuple[str, ...]
-    """Every link that is made from it."""
+    """Every link that is made from the part."""
     vertices: np.ndarray  # (V, 3) mm
     faces: np.ndarray  # (F, 3)
     density: float = DENSITY
-    """kg/m^3."""
+    """kg/m^3: the density of what it is made of."""
 
     @property
     def quantity(self) -> int:
@@ -43,7 +43,7 @@ class Part:
 
     @property
     def moments(self) -> Moments:
-        """Integrals over its volume, in metres."""
+        """Integrals over the part's volume, in metres."""
         return geometry.moments(self.vertices, self.faces).scaled(MILLIMETRE)
 
     @property

@@ -17,12 +17,12 @@ class Program:
     """The program that is shipped with a policy and runs it, with numpy and mujoco alone."""
 
     file: str
-    """The name of its source in `PROGRAMS`."""
+    """The name of the program's source in `PROGRAMS`."""
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """What it reads from policy.npz beside the policy itself."""
+    """What the program reads from policy.npz beside the policy itself."""
     command: str = "python run_policy.py"
     about: Sequence[str] = ()
-    """What README.txt says of it beside the command, line by line."""
+    """What README.txt says of the program beside the command, line by line."""
 
     @property
     def source(self) -> bytes:
@@ -43,8 +43,8 @@ class Robot(Protocol):
 
     @property
     def printed(self) -> bool:
-        """Whether its parts are drawn for a printer, as heavy as simulated, and shown in place of its collision shapes;
-        otherwise its parts are those shapes."""
+        """Whether the parts are drawn for a printer, as heavy as simulated, and shown in place of collision shapes;
+        otherwise the parts are those shapes."""
         ...
 
     @property

@@ -18,7 +18,7 @@ KINDS: dict[int, str] = {
     int(mujoco.mjtGeom.mjGEOM_PLANE): "box",
 }
 _PLANE_THICKNESS = 0.02
-"""Of the slab that a plane is drawn as, as a share of its shorter side's half."""
+"""The thickness of the slab that a plane is drawn as, as a share of its shorter side's half."""
 _LAST_VISIBLE_GROUP = 2
 """MuJoCo's own viewers hide the groups beyond it: collision shapes by convention."""
 
@@ -45,7 +45,7 @@ class Figure:
     """n parts over T instants."""
 
     names: tuple[str, ...]
-    """The geoms' names, or those of their bodies where they have none."""
+    """The names of the geoms, or of their bodies where geoms have none."""
     kinds: tuple[str, ...]
     sizes: np.ndarray
     """(n, 3) m: half-extents along the part's own axes; a capsule's third one is without its round ends."""

@@ -14,7 +14,7 @@ from morph_core.protocol import Parameter
 from morph_core.tasks import make_task
 
 COLOURS = ("#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5aa9e6", "#d0342c", "#7a828e")
-"""Told apart on white and on black; the first ones also by most colour-blind people."""
+"""Colours that are told apart on white and on black, the first ones also by most colour-blind people."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Entry:
     colour: str
     """The colour of that part in the scene, as in CSS."""
     scale: float
-    """A typical change."""
+    """A typical change of the parameter."""
 
 
 @dataclass(frozen=True)

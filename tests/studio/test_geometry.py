@@ -1,6 +1,8 @@
 """The printable parts: whole for every length, free to move, inside the collision shapes, as heavy as the core says."""
 
+import json
 import math
+from collections.abc import Iterable
 from typing import get_args
 
 import numpy as np
@@ -11,8 +13,18 @@ from hypothesis import strategies as st
 from manifold3d import Manifold
 
 from morph_core.tasks import arm, hand
-from morph_core.tasks.printed import DENSITY, Inertial, LinkKind, Servo, arm_link_inertial, link_inertial, palm_inertial
+from morph_core.tasks.printed import (
+    DENSITY,
+    FILE,
+    Inertial,
+    LinkKind,
+    Servo,
+    arm_link_inertial,
+    link_inertial,
+    palm_inertial,
+)
 from studio.robots.geometry import SIZES, arm_base, arm_link, link, mesh, moments, palm, pocket
+from studio.robots.geometry import measured as measured_parts
 
 LENGTHS = st.one_of(st.sampled_from([0.02, 0.4]), st.floats(*hand.LENGTH_BOX))  # m
 MG90S_FLANGE = (32.6, 12.4)  # mm, along and across: what the servo covers of the palm's top
@@ -31,6 +43,18 @@ def agree(one: Inertial, other: Inertial) -> None:
     assert one.mass == pytest.approx(other.mass, rel=1e-9)
     np.testing.assert_allclose(one.com, other.com, atol=1e-11)
     np.testing.assert_allclose(one.inertia, other.inertia, rtol=0, atol=1e-9 * np.abs(other.inertia).max())
+
+
+def test_the_core_knows_the_parts_as_they_are_drawn_today() -> None:
+    """If not: `python -m studio.robots.geometry`."""
+
+    def numbers(node: object) -> list[float]:
+        children = node.values() if isinstance(node, dict) else node
+        return [x for child in children for x in numbers(child)] if isinstance(children, Iterable) else [node]
+
+    drawn, known = measured_parts(), json.loads(FILE.read_text())
+    assert list(drawn) == list(known)
+    np.testing.assert_allclose(numbers(known), numbers(drawn), rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
