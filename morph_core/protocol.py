@@ -30,6 +30,8 @@ class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     locked_at: float | None = None
     group: str = ""
     """Parameters of one group share part of their noise when designs are explored: `design_correlation`."""
+    part: str = ""
+    """The part of the robot that it belongs to, as the names of its bodies and geoms begin; empty for none."""
 
 
 # --- Commands ---------------------------------------------------------------------------------------------------------

@@ -1,7 +1,8 @@
 """What a task is, and what hardware is: the two protocols that everything else is written against."""
 
-from dataclasses import dataclass
-from typing import Protocol
+from abc import abstractmethod
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -18,6 +19,7 @@ class Hardware(Protocol):
         ...
 
 
+@runtime_checkable
 class DifferentiableHardware(Hardware, Protocol):
     """Hw-Phy whose z can be differentiated in phi."""
 
@@ -46,22 +48,33 @@ class Transition:
     """(N,) bool: the physics failed, or the design can't be simulated; z is NaN if there is none."""
     success: np.ndarray
     """(N,) bool: the goal was reached in this step."""
-    milestones: dict[str, np.ndarray]
-    """name -> (N,) bool: what has to come before the goal, in this order."""
     contact: np.ndarray
     """(N, C, 3) m: up to C points where the robot touches something in this step, NaN for none."""
+    milestones: dict[str, np.ndarray] = field(default_factory=dict)
+    """name -> (N,) bool: what has to come before the goal, in this order; empty for a goal without any."""
 
 
 class Task(Protocol):
-    """A robot with a goal. Stateless: all that changes is in s; all randomness comes from a Generator argument."""
+    """A robot with a goal. Stateless: all that changes is in s; all randomness comes from a Generator argument.
+
+    Inherit from it: what is abstract must be given, the rest has a default that suits a simple task.
+    """
 
     @property
-    def name(self) -> str: ...
+    @abstractmethod
+    def name(self) -> str:
+        """The task's name on the command line, in files and on screen: lower case, words joined by underscores."""
+        ...
 
     @property
     def title(self) -> str:
         """A few words for people."""
-        ...
+        return self.name.replace("_", " ")
+
+    @property
+    def success_rule(self) -> str:
+        """A sentence for people: when an episode counts as successful. Empty where nothing is to be said."""
+        return ""
 
     @property
     def tuned(self) -> tuple[Settings, ...]:
@@ -70,98 +83,163 @@ class Task(Protocol):
         return ()
 
     @property
-    def design_space(self) -> DesignSpace: ...
+    @abstractmethod
+    def design_space(self) -> DesignSpace:
+        """The design parameters phi: names, units, box, initial values and locks."""
+        ...
 
     @property
+    @abstractmethod
     def horizon(self) -> int:
         """T: control steps after which an episode ends."""
         ...
 
     @property
+    @abstractmethod
     def control_dt(self) -> float:
         """Seconds between two control steps, for playback."""
         ...
 
     @property
-    def state_size(self) -> int: ...
+    @abstractmethod
+    def state_size(self) -> int:
+        """How many numbers s has."""
+        ...
 
     @property
-    def observation_size(self) -> int: ...
+    @abstractmethod
+    def observation_size(self) -> int:
+        """How many numbers the policy sees."""
+        ...
 
     @property
-    def action_size(self) -> int: ...
+    def observation_units(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Middle and spread, (observation_size,) each: `observe` returns (x - middle) / spread, where x are the first
+        entries of s, or what the task makes of them, in physical units. None where it is not of this form.
+
+        Where x are the first entries of s, and those are qpos and qvel of `scene`, an exported policy runs in MuJoCo.
+        """
+        return None
+
+    @property
+    @abstractmethod
+    def action_size(self) -> int:
+        """How many numbers the policy puts out."""
+        ...
+
+    @property
+    def action_units(self) -> np.ndarray | None:
+        """(action_size,) what an action of 1 asks for: a = action_units * action, unless contact cuts it short.
+        None where a is not proportional to the action.
+
+        A program that runs an exported policy hands a to the actuators of `scene`, or adds it to the joints where there
+        are no actuators.
+        """
+        return None
 
     @property
     def initial_action(self) -> np.ndarray:
         """(action_size,) the mean action of a policy that has learnt nothing."""
+        return np.zeros(self.action_size)
+
+    @property
+    @abstractmethod
+    def z_size(self) -> int:
+        """How many numbers the hardware puts out."""
         ...
 
     @property
-    def z_size(self) -> int: ...
-
-    @property
-    def proxy_input_size(self) -> int: ...
+    def proxy_input_size(self) -> int:
+        """How many numbers the proxy sees."""
+        return self.observation_size + self.action_size
 
     @property
     def z_scale(self) -> float:
         """Typical size of z: the proxy's output is multiplied by it."""
-        ...
+        return 1.0
 
     @property
     def z_unit(self) -> str:
         """The unit of z; empty where every component is in its own."""
-        ...
+        return ""
 
     @property
     def runs_on_proxy(self) -> bool:
         """Whether `reset` and `step` take any Hardware, the proxy included, and not Hw-Phy alone."""
         return True
 
+    @property
+    def robot(self) -> object | None:
+        """The kind of robot, such as `Hand` or `Arm`, where the studio knows how its parts are printed and its policy
+        is run; None for any other, whose collision shapes stand in for parts."""
+        return None
+
     def buildable(self, phi: np.ndarray) -> np.ndarray:
         """Tell (...) which designs (..., d) can be put together at all."""
-        ...
+        return np.ones(phi.shape[:-1], dtype=bool)
 
     def check_buildable(self, phi: np.ndarray) -> None:
         """Raise ValueError with the reason where a design (d,) can't be put together."""
-        ...
+        if not self.buildable(phi):
+            raise ValueError(f"this design of {self.name} can't be put together")
 
+    @abstractmethod
     def hw_phy(self, phi: np.ndarray) -> Hardware:
         """Return F_phi for one design (d,), or for one design per environment (N, d)."""
         ...
 
+    def hw_phy_from(self, scene: mujoco.MjSpec, phi: np.ndarray) -> Hardware:
+        """Return F_phi with the robot of a `scene` that was read from an exported file, made for phi (d,).
+
+        This is how an export proves that its files do what was learned; a task that can't tell from the scene what its
+        hardware computes with returns that of phi.
+        """
+        return self.hw_phy(phi)
+
+    @abstractmethod
     def reset(self, hw_phy: Hardware, environments: int, rng: np.random.Generator) -> np.ndarray:
         """Return start states (N, state_size)."""
         ...
 
+    @abstractmethod
     def observe(self, s: np.ndarray) -> np.ndarray:
         """Return what the policy sees, (N, observation_size) float32; phi is not in it."""
         ...
 
     def proxy_input(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what the proxy sees, (N, proxy_input_size) float32."""
-        ...
+        """Return what the proxy sees, (N, proxy_input_size) float32: by default what the policy sees, and a."""
+        units = self.action_units
+        return np.concatenate([self.observe(s), a if units is None else a / units], 1, dtype=np.float32)
 
+    @abstractmethod
     def sample_pairs(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Return states and executed actions (s, a) spread over the workspace, to fit the proxy before line 1."""
         ...
 
+    @abstractmethod
     def step(self, hardware: Hardware, s: np.ndarray, action: np.ndarray) -> Transition:
         """Execute the policy's actions (N, action_size), clipped into [-1, 1], in the world of `hardware`."""
         ...
 
     def solved(self, reached: np.ndarray) -> np.ndarray:
-        """Tell (N,) which episodes count as successful, from the steps (T, N) in which the goal was reached."""
-        ...
+        """Tell (N,) which episodes count as successful, from the steps (T, N) in which the goal was reached.
 
+        By default those in which it was reached at all.
+        """
+        return np.any(reached, axis=0)
+
+    @abstractmethod
     def spec(self, phi: np.ndarray) -> mujoco.MjSpec:
         """Return the robot alone with design phi (d,): what is exported."""
         ...
 
+    @abstractmethod
     def scene(self, phi: np.ndarray) -> mujoco.MjSpec:
         """Return robot, objects, obstacles and goal: what is shown. The names of what never moves begin with "goal",
         "wall" or "table"; a geom "button" lights up with the milestone "pressed"."""
         ...
 
+    @abstractmethod
     def qpos(self, s: np.ndarray) -> np.ndarray:
         """Return MuJoCo's qpos (N, nq) of `scene` for states s; it begins with the qpos of `spec`."""
         ...

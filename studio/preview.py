@@ -17,7 +17,7 @@ _TABLE = 1.2
 """Extent of the table that is drawn, as a multiple of what stands on it."""
 _LIGHT = np.array([-0.35, -0.5, 0.8]) / np.linalg.norm([-0.35, -0.5, 0.8])
 _AMBIENT = 0.62
-"""Share of its colour that a face keeps in the shade."""
+"""The share of its colour that a face keeps in the shade."""
 
 
 def preview_svg(task_name: str) -> str:

@@ -1,7 +1,8 @@
 """What the hands' tasks share: control, observation, and the paper's reward for lifting and pressing."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Literal
 
 import mujoco
@@ -26,9 +27,11 @@ from morph_core.tasks.simulation import SUBSTEPS, TIMESTEP, HandPhysics, add_con
 OBJECT_FRICTION = (0.8, 0.02, 0.0005)
 TABLE_FRICTION = (0.8, 0.01, 0.0005)
 PRESSED = 0.5
-"""Share of the button's travel."""
+"""The share of the travel beyond which a button counts as pressed."""
 BUTTON_DAMPING, BUTTON_ARMATURE, BUTTON_MASS = 1.0, 0.01, 0.01  # N s/m, kg, kg
-POSE = 7  # numbers of an object's pose in qpos: position and quaternion
+PALM_MIDDLE, PALM_SPREAD = 0.35, 0.15  # m: the palm's height, as the policy sees it
+JOINT_MIDDLE, JOINT_SPREAD = 0.55, 0.7  # rad: the fingers' joints
+POSE_MIDDLE, POSE_SPREAD = (0, 0, 0.15, 1, 0, 0, 0), (0.1, 0.1, 0.15, 0.3, 0.3, 0.3, 0.3)  # m, and a quaternion
 Grasp = Literal["any_two", "two_besides_presser"]
 
 Z_PALM, Z_JOINT, Z_POSITION, Z_ROTATION = 0.03, 0.15, 0.02, 0.1
@@ -54,16 +57,46 @@ _CMA = Cma(pairs=256, population=10, generations=6)
 
 
 @dataclass(frozen=True)
-class GraspTask(Settings, Task, ABC):
+class Columns:
+    """Where the quantities of a hand and its object are in s, which begins with MuJoCo's qpos."""
+
+    joints: slice
+    """The palm's height (m) and the fingers' joints (rad)."""
+    position: slice
+    """The position of the object (m)."""
+    orientation: slice
+    """The quaternion of the object."""
+    button: int
+    """How far the button is out (m): 0, or negative where it is pressed."""
+
+    @classmethod
+    def of(cls, joints: int) -> "Columns":
+        """Return the columns of a hand with so many joints."""
+        return cls(slice(joints), slice(joints, joints + 3), slice(joints + 3, joints + 7), joints + 7)
+
+    @property
+    def moved(self) -> slice:
+        """Joints and object position: what changes by plain differences."""
+        return slice(self.position.stop)
+
+    @property
+    def seen(self) -> slice:
+        """Joints and object pose: what the policy sees."""
+        return slice(self.orientation.stop)
+
+
+@dataclass(frozen=True)
+class GraspTask(Settings, Task):
     """A hand that grasps an object, lifts it and presses its button. Stateless; its subclasses say which object.
 
     An action changes the targets of the palm's and the fingers' servos, ten times a second.
     """
 
     grasp: Grasp = "any_two"
-    """In hand = risen, with two fingers on object or button; or, strictly, two on the body besides the presser."""
+    """The object is in the hand where it has risen with two fingers on it or its button ("any_two"), or with two on its
+    body besides the one that presses ("two_besides_presser")."""
     servo: Servo = "none"
-    """For which the palm has pockets, one above each finger: they cost mass, and fingers need more room."""
+    """The servo for which the palm has pockets, one above each finger: they cost mass, and fingers need more room."""
     initial_length: NotNegative = 0.12
     """m: both links of every finger of the initial design."""
     lift_height: NotNegative = 0.05
@@ -71,19 +104,19 @@ class GraspTask(Settings, Task, ABC):
     goal_height: NotNegative = 0.30
     """m: p_goal is this high above the middle of the table."""
     distance_weight: NotNegative = 0.3
-    """Reward per metre between object and p_goal (enters with a minus), never more than at the start: where a shove
-    costs, and almost every touch first is one, the policy learns to avoid the object."""
+    """Reward per metre between object and p_goal (enters with a minus), capped at its value at the start. Without the
+    cap a shove, which the first touch nearly always is, costs reward, and the policy learns not to touch."""
     contact_weight: NotNegative = 0.3
-    """beta_0: reward while a distal link touches the button and the object is off the table. A larger one, or one
-    on the table, presses the button there for ever."""
+    """beta_0: reward while a distal link touches the button and the object is off the table. If it is larger, or is
+    paid on the table too, the policy stays there pressing and never lifts."""
     height_weight: NotNegative = 8.0
     """beta_1: reward per metre between object and table, up to `height_limit`."""
     height_limit: NotNegative = 0.27
-    """m."""
+    """m: height above the table beyond which more of it pays nothing."""
     goal_bonus: NotNegative = 10.0
     """beta_2: reward while a distal link presses the button and the object is in the hand."""
     reward_scale: NotNegative = 0.2
-    """All of the above are multiplied by it."""
+    """All weights and the bonus are multiplied by it."""
     palm_step: NotNegative = 0.05
     """m: the largest change of the palm's target."""
     joint_step: NotNegative = 0.3
@@ -92,19 +125,23 @@ class GraspTask(Settings, Task, ABC):
     """How fast an untrained policy moves the proximal joints inward, as a share of `joint_step`. Flailing about the
     start posture lifts the object in none of 256 episodes, closing and rising in one of seven at .26 m."""
     initial_curling: NotNegative = 0.1
-    """The same of the distal joints."""
+    """How fast an untrained policy curls the distal joints, as a share of `joint_step`."""
     initial_rising: NotNegative = 0.15
-    """How fast it moves the palm upward, as a share of `palm_step`."""
+    """How fast an untrained policy moves the palm upward, as a share of `palm_step`."""
     start_noise: NotNegative = 0.01
     """m: the object starts this far off the middle at most, and turned by up to 5 rad per metre of it."""
+    travel: NotNegative = 0.02
+    """m: how far the button can be pressed in."""
+    stiffness: NotNegative = 60.0
+    """N/m: the stiffness of the button's spring."""
 
     horizon: ClassVar[int] = 40
     control_dt: ClassVar[float] = TIMESTEP * SUBSTEPS
-    z_scale: ClassVar[float] = 1.0
-    z_unit: ClassVar[str] = ""
 
     name: ClassVar[str]
     title: ClassVar[str]
+    object_noun: ClassVar[str]
+    """What the object is called in a sentence."""
     fingers: ClassVar[int]
     runs_on_proxy: ClassVar[bool] = False
 
@@ -121,20 +158,33 @@ class GraspTask(Settings, Task, ABC):
     @property
     @abstractmethod
     def half_extents(self) -> np.ndarray:
-        """(3,) m: of the box round the object, which lies flat on the table, its frame in the middle of that box."""
-
-    @property
-    @abstractmethod
-    def button_travel(self) -> float:
-        """m."""
+        """(3,) m: half the sides of the box round the object, which lies flat on the table, its frame in the middle."""
 
     @abstractmethod
     def add_object(self, spec: mujoco.MjSpec) -> None:
         """Add the bodies "object", with a free joint, and inside it "button", with a sprung slide."""
 
     @property
+    def success_rule(self) -> str:
+        return (
+            f"held: in at least half of the last ten control steps a distal link presses the button while the "
+            f"{self.object_noun} is in the hand, {100 * self.lift_height:g} cm above the table with two fingers on it, "
+            f"or two besides the one that presses."
+        )
+
+    @property
     def hand(self) -> Hand:
+        """The hand, without a design: what all designs of the task share."""
         return Hand(self.fingers, self.initial_length, servo=self.servo)
+
+    @property
+    def robot(self) -> Hand:
+        return self.hand
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Where joints, object and button are in s."""
+        return Columns.of(self.hand.joints)
 
     @property
     def design_space(self) -> DesignSpace:
@@ -142,7 +192,7 @@ class GraspTask(Settings, Task, ABC):
 
     @property
     def _nq(self) -> int:
-        return self.hand.joints + POSE + 1
+        return self.columns.button + 1
 
     @property
     def _nv(self) -> int:
@@ -154,7 +204,13 @@ class GraspTask(Settings, Task, ABC):
 
     @property
     def observation_size(self) -> int:
-        return self.hand.joints + POSE
+        return self.columns.seen.stop
+
+    @cached_property
+    def observation_units(self) -> tuple[np.ndarray, np.ndarray]:
+        fingers = self.hand.joints - 1
+        middle = np.array([PALM_MIDDLE, *[JOINT_MIDDLE] * fingers, *POSE_MIDDLE])
+        return middle, np.array([PALM_SPREAD, *[JOINT_SPREAD] * fingers, *POSE_SPREAD])
 
     @property
     def action_size(self) -> int:
@@ -169,12 +225,8 @@ class GraspTask(Settings, Task, ABC):
         return self.hand.joints + 6
 
     @property
-    def proxy_input_size(self) -> int:
-        return self.observation_size + self.action_size
-
-    @property
-    def _action_scale(self) -> np.ndarray:
-        """(action_size,) m or rad."""
+    def action_units(self) -> np.ndarray:
+        """(action_size,) m or rad: the largest change of each servo's target."""
         return np.array([self.palm_step, *[self.joint_step] * (2 * self.fingers)])
 
     def split(self, s: np.ndarray) -> list[np.ndarray]:
@@ -183,11 +235,11 @@ class GraspTask(Settings, Task, ABC):
 
     def change(self, s: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Return z (N, z_size): the change of joints, object position and orientation in their typical units."""
-        k = self.hand.joints
-        difference = np.empty((len(s), k + 6))
-        difference[:, : k + 3] = after[:, : k + 3] - s[:, : k + 3]
-        difference[:, k + 3 :] = _rotation_between(s[:, k + 3 : k + 7], after[:, k + 3 : k + 7])
-        units = np.array([Z_PALM, *[Z_JOINT] * (k - 1), *[Z_POSITION] * 3, *[Z_ROTATION] * 3])
+        moved, orientation = self.columns.moved, self.columns.orientation
+        difference = np.empty((len(s), self.z_size))
+        difference[:, moved] = after[:, moved] - s[:, moved]
+        difference[:, moved.stop :] = _rotation_between(s[:, orientation], after[:, orientation])
+        units = np.array([Z_PALM, *[Z_JOINT] * (self.hand.joints - 1), *[Z_POSITION] * 3, *[Z_ROTATION] * 3])
         return difference / units
 
     def clearance(self, s: np.ndarray) -> np.ndarray:
@@ -196,10 +248,9 @@ class GraspTask(Settings, Task, ABC):
         The paper's z_obj. The height of its middle would reward a seesaw: a finger that presses on the overhanging
         button levers the rest up, and learning ends there.
         """
-        k = self.hand.joints
-        w, x, y, z = s[:, k + 3 : k + 7].T
+        w, x, y, z = s[:, self.columns.orientation].T
         up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1)  # the frame's axes' z
-        return s[:, k + 2] - np.abs(up) @ self.half_extents
+        return s[:, self.columns.position][:, 2] - np.abs(up) @ self.half_extents
 
     def buildable(self, phi: np.ndarray) -> np.ndarray:
         return ~self.hand.interpenetrates(phi)
@@ -210,44 +261,43 @@ class GraspTask(Settings, Task, ABC):
     def hw_phy(self, phi: np.ndarray) -> HandPhysics:
         return HandPhysics(self, np.asarray(phi, dtype=float))
 
+    def hw_phy_from(self, scene: mujoco.MjSpec, phi: np.ndarray) -> HandPhysics:
+        return HandPhysics(self, np.asarray(phi, dtype=float), scene)
+
     def reset(self, hw_phy: Hardware, environments: int, rng: np.random.Generator) -> np.ndarray:
-        k, physics = self.hand.joints, _physics(hw_phy)
+        physics, at = _physics(hw_phy), self.columns
         s = np.zeros((environments, self.state_size))
-        s[:, :k] = self.hand.start(physics.phi)
-        s[:, k : k + 2] = rng.uniform(-self.start_noise, self.start_noise, (environments, 2))
-        s[:, k + 2] = self.half_extents[2]
+        position, quaternion = s[:, at.position], s[:, at.orientation]
+        s[:, at.joints] = self.hand.start(physics.phi)
+        position[:, :2] = rng.uniform(-self.start_noise, self.start_noise, (environments, 2))
+        position[:, 2] = self.half_extents[2]
         turn = 5 * rng.uniform(-self.start_noise, self.start_noise, environments)
-        s[:, k + 3], s[:, k + 6] = np.cos(turn / 2), np.sin(turn / 2)
+        quaternion[:, 0], quaternion[:, 3] = np.cos(turn / 2), np.sin(turn / 2)
         return s
 
     def observe(self, s: np.ndarray) -> np.ndarray:
-        k = self.hand.joints
-        pose = s[:, k : k + POSE].copy()
-        pose[:, 3:] *= np.where(pose[:, 3:4] < 0, -1.0, 1.0)  # q and -q are the same orientation
-        palm, joints = (s[:, :1] - 0.35) / 0.15, (s[:, 1:k] - 0.55) / 0.7
-        middle, spread = np.array([0, 0, 0.15, 1, 0, 0, 0]), np.array([0.1, 0.1, 0.15, 0.3, 0.3, 0.3, 0.3])
-        return np.concatenate([palm, joints, (pose - middle) / spread], 1, dtype=np.float32)
-
-    def proxy_input(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
-        return np.concatenate([self.observe(s), a / self._action_scale], 1, dtype=np.float32)
+        x = s[:, self.columns.seen].copy()
+        quaternion = x[:, self.columns.orientation]
+        quaternion *= np.where(quaternion[:, :1] < 0, -1.0, 1.0)  # q and -q are the same orientation
+        middle, spread = self.observation_units
+        return ((x - middle) / spread).astype(np.float32)
 
     def sample_pairs(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         k, nominal = self.hand.joints, self.hw_phy(self.design_space.initial)
         s = self.reset(nominal, count, rng)
         low, high = self.hand.joint_range.T
-        s[:, :k] = rng.uniform(low, high, (count, k))
-        return s, self._action_scale * rng.uniform(-1, 1, (count, k))
+        s[:, self.columns.joints] = rng.uniform(low, high, (count, k))
+        return s, self.action_units * rng.uniform(-1, 1, (count, k))
 
     def step(self, hardware: Hardware, s: np.ndarray, action: np.ndarray) -> Transition:
         physics = _physics(hardware)
-        a = self._action_scale * np.clip(action, -1, 1)
+        a = self.action_units * np.clip(action, -1, 1)
         outcome = physics.run(s, a)
-        k = self.hand.joints
-        position, button = outcome.s[:, k : k + 3], outcome.s[:, k + POSE]
+        position, button = outcome.s[:, self.columns.position], outcome.s[:, self.columns.button]
         risen = self.clearance(outcome.s)
         on_button, on_body = np.moveaxis(outcome.sensors[..., 0] > 0, 2, 0)  # (N, fingers) each
         contact = on_button.any(1)
-        pressed = contact & (button < -PRESSED * self.button_travel)
+        pressed = contact & (button < -PRESSED * self.travel)
         lifted = (risen > self.lift_height) & ((on_button | on_body).sum(1) >= 2)
         goal = pressed & lifted
         if self.grasp == "two_besides_presser":

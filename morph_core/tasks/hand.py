@@ -23,7 +23,7 @@ DISTAL_RANGE = (-0.6, 2.2)  # rad, inward
 JOINT_KP, JOINT_KV, JOINT_TORQUE = 8.0, 0.6, 4.0  # N m/rad, N m s/rad, N m
 JOINT_DAMPING, JOINT_ARMATURE = 0.1, 0.01  # N m s/rad, kg m^2
 SPACING: dict[Servo, float] = {"none": 2 * FINGER_RADIUS, "mg90s": 0.0445}
-"""m: neighbouring fingers' distance on the palm, at least; then neither they nor their servos are in each other."""
+"""m: the least distance of neighbouring fingers on the palm: neither they nor their servos are in each other."""
 START_PROXIMAL, START_DISTAL = 1.45, 0.25  # rad: fingers spread out and down
 START_CLEARANCE = 0.09  # m: between table and fingertips
 LENGTH_BOX = (0.02, 0.4)  # m
@@ -66,9 +66,23 @@ class Hand:
         (near, far), (short, long) = PLACEMENT_BOX, LENGTH_BOX
         return DesignSpace(
             (
-                *(Parameter(f"placement_{i}", "rad", near, far, 0.0, near, far, scale=0.15) for i in fingers),
                 *(
-                    Parameter(f"length_{i}", "m", short, long, self.initial_length, short, long, 0.08, group="length")
+                    Parameter(f"placement_{i}", "rad", near, far, 0.0, near, far, scale=0.15, part=f"finger_{i}")
+                    for i in fingers
+                ),
+                *(
+                    Parameter(
+                        f"length_{i}",
+                        "m",
+                        short,
+                        long,
+                        self.initial_length,
+                        short,
+                        long,
+                        scale=0.08,
+                        group="length",
+                        part=f"finger_{i}",
+                    )
                     for i in fingers
                 ),
             )

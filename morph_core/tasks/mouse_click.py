@@ -15,8 +15,8 @@ from morph_core.tasks.hand import OBJECT_CONTACT, Hand
 
 PARTS = ("body", "left", "right")
 BUTTON_MIDDLE, BUTTON_HALF_SIZE = (0.31, 0.15, 0.2), (0.15, 0.24, 0.12)
-"""Shares of the mouse's length, width and height, from its middle: on the recess of its left front, and across the
-middle, so that a finger that points ahead can press it."""
+"""Middle and half-size of the button as shares of the mouse's length, width and height, from the mouse's middle: on the
+recess of its left front, and across the middle, so that a finger that points ahead can press it."""
 
 START_GAP = 0.03  # m: between mouse and fingertips
 
@@ -32,20 +32,19 @@ class MouseClick(GraspTask):
     """
 
     length: NotNegative = 0.62
-    """m: from rear to front."""
+    """m: the mouse from rear to front."""
     width: NotNegative = 0.46
-    """m: fingers of the initial design reach no further down than its shoulders; those of .2 m get round them."""
+    """m: the mouse's width: fingers of the initial design reach its shoulders only, those of .2 m get round them."""
     height: NotNegative = 0.14
-    """m."""
+    """m: the mouse's height."""
     mass: NotNegative = 0.4
-    """kg: of the mouse without its button. Half of it can be lifted without learning to squeeze."""
+    """kg: the mass of the mouse without its button. Half of it can be lifted without learning to squeeze."""
     travel: NotNegative = 0.015
-    """m: of the button."""
-    stiffness: NotNegative = 60.0
-    """N/m: of the button's spring."""
+    """m: how far the button can be pressed in."""
 
     name: ClassVar[str] = "mouse_click"
     title: ClassVar[str] = "5-finger hand lifts a mouse and presses its button"
+    object_noun: ClassVar[str] = "mouse"
     fingers: ClassVar[int] = 5
 
     @property
@@ -55,10 +54,6 @@ class MouseClick(GraspTask):
     @property
     def half_extents(self) -> np.ndarray:
         return np.array([self.length, self.width, self.height]) / 2
-
-    @property
-    def button_travel(self) -> float:
-        return self.travel
 
     def add_object(self, spec: mujoco.MjSpec) -> None:
         size = 2 * self.half_extents

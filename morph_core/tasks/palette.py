@@ -1,14 +1,14 @@
 """Colours of robots and scenery. Okabe and Ito's palette: told apart by colour-blind people too."""
 
 Colour = tuple[float, float, float, float]
-"""Red, green, blue and opacity in [0, 1]."""
+"""A colour as red, green, blue and opacity in [0, 1]."""
 
 BASE: Colour = (0.35, 0.37, 0.42, 1.0)
 PARTS: tuple[Colour, ...] = (
     (0.00, 0.45, 0.70, 1.0), (0.34, 0.71, 0.91, 1.0), (0.00, 0.62, 0.45, 1.0), (0.90, 0.62, 0.00, 1.0),
     (0.84, 0.37, 0.00, 1.0),
 )  # fmt: skip
-"""One for each link of an arm or finger of a hand."""
+"""Colours of the links of an arm, or of the fingers of a hand."""
 WALL: Colour = (0.55, 0.57, 0.62, 1.0)
 GOAL: Colour = (0.80, 0.47, 0.65, 1.0)
 OBJECT: Colour = (0.86, 0.86, 0.89, 1.0)

@@ -25,27 +25,20 @@ class PenPress(GraspTask):
     """
 
     half_length: NotNegative = 0.28
-    """m: the button reaches .32 m, beyond the fingers of the initial design (.30 m)."""
+    """m: half the pen's length; the button reaches .32 m, beyond the fingers of the initial design (.30 m)."""
     half_width: NotNegative = 0.03
-    """m."""
+    """m: half the pen's width and height."""
     mass: NotNegative = 0.15
-    """kg."""
-    travel: NotNegative = 0.02
-    """m: of the button."""
-    stiffness: NotNegative = 60.0
-    """N/m: of the button's spring."""
+    """kg: the mass of the pen without its button."""
 
     name: ClassVar[str] = "pen_press"
     title: ClassVar[str] = "4-finger hand lifts a pen and presses its button"
+    object_noun: ClassVar[str] = "pen"
     fingers: ClassVar[int] = 4
 
     @property
     def half_extents(self) -> np.ndarray:
         return np.array([self.half_length, self.half_width, self.half_width])
-
-    @property
-    def button_travel(self) -> float:
-        return self.travel
 
     def add_object(self, spec: mujoco.MjSpec) -> None:
         pen = add_free_body(spec, self.half_width)

@@ -1,22 +1,23 @@
 """Mass, centre of mass and inertia of the printed parts: polynomials in a link's length, a sum over a palm's mounts.
 
-The parts themselves are drawn in `studio.geometry`, whose tests compare them with the numbers here. They are printed
-solid, so that mass is spread evenly; pins, bolts and servos are not in it.
+The parts are drawn in `studio.robots.geometry`, whose tests compare them with the numbers here. They are printed solid,
+so that mass is spread evenly; pins, bolts and servos are not in it.
 """
 
+import json
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
 DENSITY = 1240.0  # kg/m^3: PLA
-INFILL = 1.0  # share of the volume that is printed
 ARM_SCALE = 2.5
-"""The reacher's links are the hands' links, enlarged."""
+"""How many times larger the arm's links are than a finger's, from which they are made."""
 
 Servo = Literal["none", "mg90s"]
-"""For which the palm has pockets, one for each finger."""
+"""The servo for which the palm has pockets, one for each finger."""
 LinkKind = Literal["proximal", "distal"]
 """A proximal link ends in a clevis, a distal one in a fingertip."""
 
@@ -26,11 +27,11 @@ class Inertial:
     """What MuJoCo and URDF want to know of a body, in its own frame."""
 
     mass: float
-    """kg."""
+    """kg: the mass."""
     com: np.ndarray
-    """(3,) m."""
+    """(3,) m: the centre of mass."""
     inertia: np.ndarray
-    """(3, 3) kg m^2 about the centre of mass."""
+    """(3, 3) kg m^2: the inertia about the centre of mass."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +55,10 @@ class Moments:
     def scaled(self, factor: float) -> "Moments":
         return Moments(factor**3 * self.volume, factor**4 * self.first, factor**5 * self.second)
 
-    def inertial(self) -> Inertial:
+    def inertial(self, density: float = DENSITY) -> Inertial:
+        """Return the mass properties of a body of `density` kg/m^3."""
         com = self.first / self.volume
         central = self.second - self.volume * np.outer(com, com)
-        density = DENSITY * INFILL
         return Inertial(density * self.volume, com, density * (np.trace(central) * np.eye(3) - central))
 
 
@@ -81,56 +82,22 @@ class LinkMoments:
         return Moments(value(self.volume), first, np.diag([value(self.xx), value(self.yy), value(self.zz)]))
 
 
-# Printed by `python -m studio.geometry`.
+def _moments(drawn: dict[str, Any]) -> Moments:
+    return Moments(drawn["volume"], np.array(drawn["first"]), np.array(drawn["second"]))
+
+
+FILE = Path(__file__).with_name("printed.json")
+"""What was measured on the parts as they are drawn; written by `python -m studio.robots.geometry`."""
+_MEASURED = json.loads(FILE.read_bytes())
 LINKS = {
-    "proximal": LinkMoments(
-        volume=(-1.3708064232412148e-06, 0.00025619365751953116),
-        z=(-2.877262988849767e-09, 6.056233155863044e-07, -0.00012809682875976626),
-        xx=(-2.446518186738158e-11, 2.9440737916367488e-09),
-        yy=(-4.9222100280838794e-11, 9.813185030258263e-09),
-        zz=(-4.44724260780961e-11, 1.5476090801156417e-08, -6.056233155860652e-07, 8.539788583984341e-05),
-    ),
-    "distal": LinkMoments(
-        volume=(6.009792533397556e-07, 0.0002561936575195312),
-        z=(-3.938387689455077e-09, -1.7608012439787348e-06, -0.00012809682875976518),
-        xx=(-9.712431232928208e-12, 2.9440737916367434e-09),
-        yy=(-4.5002220264243514e-11, 9.813185030258238e-09),
-        zz=(5.3134050015651227e-11, 2.3824558118261415e-08, 1.7608012439789377e-06, 8.539788583984307e-05),
-    ),
+    kind: LinkMoments(**{name: tuple(coefficients) for name, coefficients in drawn.items()})
+    for kind, drawn in _MEASURED["links"].items()
 }
-PLATE = Moments(
-    0.00019948681028137349,
-    np.array([0.0, 0.0, 3.5012079918361684e-06]),
-    np.array(
-        [[1.8278754471699623e-07, 0.0, 0.0], [0.0, 1.827875447169965e-07, 0.0], [0.0, 0.0, 6.736255072616585e-08]]
-    ),
-)
-MOUNT = Moments(
-    2.1788899492730503e-06,
-    np.array([1.2389866308732644e-07, 0.0, 4.995691343020779e-09]),
-    np.array(
-        [
-            [7.10127031054526e-09, 0.0, 2.5770607804712645e-10],
-            [0.0, 1.2265651817679777e-10, 0.0],
-            [2.5770607804712645e-10, 0.0, 4.483171949540902e-11],
-        ]
-    ),
-)
-POCKET = Moments(
-    4.91901313042186e-06,
-    np.array([2.370347987234091e-07, 0.0, 9.23110023096151e-08]),
-    np.array(
-        [
-            [1.1491026249084196e-08, 0.0, 4.448934540724991e-09],
-            [0.0, 2.2335829532199313e-10, 0.0],
-            [4.448934540724991e-09, 0.0, 1.8444809938455888e-09],
-        ]
-    ),
-)
-"""What a servo's pocket takes from the palm."""
+PLATE, MOUNT, POCKET = (_moments(_MEASURED[part]) for part in ("plate", "mount", "pocket"))
+"""The palm without mounts, a finger's mount, and what a servo's pocket takes from the palm."""
 
 LAID = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""From a hanging link, which turns about y, to one of the arm, which lies along x and turns about z."""
+"""The rotation from a hanging link, which turns about y, to one of the arm, which lies along x and turns about z."""
 
 
 def set_inertial(body: mujoco.MjsBody, inertial: Inertial) -> None:
@@ -157,5 +124,5 @@ def palm_inertial(angles: np.ndarray, servo: Servo = "none") -> Inertial:
 
 
 def arm_link_inertial(kind: LinkKind, length: float) -> Inertial:
-    """Return a link of the reacher of `length` m; its frame is at its joint, it lies along x."""
+    """Return a link of the arm of `length` m; its frame is at its joint, it lies along x."""
     return LINKS[kind].at(length / ARM_SCALE).scaled(ARM_SCALE).turned(LAID).inertial()

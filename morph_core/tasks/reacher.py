@@ -16,18 +16,12 @@ from morph_core.methods.proxy import Morph
 from morph_core.protocol import Parameter
 from morph_core.task import Hardware, Task, Transition
 from morph_core.tasks import palette
-from morph_core.tasks.printed import arm_link_inertial, set_inertial
+from morph_core.tasks.arm import LINK_RADIUS, Arm
 
 LINKS = 5
 TOLERANCE = 1e-4
 """m: a link counts as inside a wall beyond this depth."""
-# What the arm is made of when it is shown and exported; the task itself is kinematic and its links have no width.
-LINK_RADIUS = 0.06  # m
-JOINT_DAMPING = 1.0  # N m s/rad
-JOINT_ARMATURE = 0.1  # kg m^2
-SERVO_KP = 2000.0  # N m/rad
-SERVO_KV = 400.0  # N m s/rad
-SERVO_TORQUE = 500.0  # N m
+ANGLE_SPREAD, TIP_SPREAD = 3.0, 5.0  # rad, m: as the policy sees joint angles and tip
 WALL_HEIGHT = 0.3  # m, across the plane
 WALL_MARGIN = 1.2  # m: how much of the solid is shown beyond the corridor
 
@@ -41,7 +35,7 @@ class Tunnel:
     ys: tuple[float, ...]
     """m: height of the centre line there."""
     gap: float
-    """m: vertical width."""
+    """m: the vertical width of the corridor."""
     goal: tuple[float, float]
     goal_radius: float
     start_headings: tuple[float, ...]
@@ -168,10 +162,11 @@ class Reacher(Settings, Task):
     stuck_cost: NotNegative = 10.0
     """Cost of each step of a design whose start posture reaches into the tunnel or a wall."""
     reward_scale: NotNegative = 0.02
-    """All of the above are multiplied by it: returns of order one suit the critic."""
+    """All weights, bonuses and costs are multiplied by it: returns of order one suit the critic."""
 
     name: ClassVar[str] = "reacher"
     title: ClassVar[str] = "5-link arm through a zig-zag tunnel"
+    success_rule: ClassVar[str] = "the tip is inside the goal's radius; that ends the episode."
     horizon: ClassVar[int] = 60
     control_dt: ClassVar[float] = 0.1
     state_size: ClassVar[int] = LINKS + 3
@@ -189,18 +184,14 @@ class Reacher(Settings, Task):
     def design_space(self) -> DesignSpace:
         return DesignSpace(
             tuple(
-                Parameter(f"link_{i + 1}", "m", lo=0.05, hi=5.0, initial=3.0, hard_lo=0.05, hard_hi=5.0)
-                for i in range(LINKS)
+                Parameter(f"link_{i}", "m", lo=0.05, hi=5.0, initial=3.0, hard_lo=0.05, hard_hi=5.0, part=f"link_{i}")
+                for i in range(1, LINKS + 1)
             )
         )
 
     @property
     def z_size(self) -> int:
         return 2 if self.z == "tip" else 2 * LINKS
-
-    @property
-    def initial_action(self) -> np.ndarray:
-        return np.zeros(LINKS)
 
     @property
     def walls(self) -> Tunnel:
@@ -211,14 +202,25 @@ class Reacher(Settings, Task):
         """(5,) rad: joint angles of the start posture."""
         return np.diff(np.deg2rad(self.walls.start_headings), prepend=0.0)
 
-    def buildable(self, phi: np.ndarray) -> np.ndarray:
-        return np.ones(phi.shape[:-1], dtype=bool)
+    @cached_property
+    def observation_units(self) -> tuple[np.ndarray, np.ndarray]:
+        spread = np.array([*[1.0] * (2 * LINKS), *[ANGLE_SPREAD] * LINKS, *[TIP_SPREAD] * 2])
+        return np.zeros(len(spread)), spread
 
-    def check_buildable(self, phi: np.ndarray) -> None:
-        """Every arm can be put together."""
+    @property
+    def action_units(self) -> np.ndarray:
+        """(5,) rad: the largest change of each joint angle."""
+        return np.full(LINKS, self.action_scale)
+
+    @property
+    def robot(self) -> Arm:
+        return Arm(self.start)
 
     def hw_phy(self, phi: np.ndarray) -> ForwardKinematics:
         return ForwardKinematics(np.asarray(phi, dtype=float), self.z == "tip")
+
+    def hw_phy_from(self, scene: mujoco.MjSpec, phi: np.ndarray) -> ForwardKinematics:
+        return self.hw_phy(self.robot.lengths_of(scene.compile()))
 
     def reset(self, hw_phy: Hardware, environments: int, rng: np.random.Generator) -> np.ndarray:
         noise = self.start_noise * rng.standard_normal((environments, LINKS))
@@ -236,8 +238,10 @@ class Reacher(Settings, Task):
 
     def observe(self, s: np.ndarray) -> np.ndarray:
         heading = np.cumsum(s[:, :LINKS], -1)
-        tip = s[:, LINKS : LINKS + 2]
-        return np.concatenate([np.sin(heading), np.cos(heading), s[:, :LINKS] / 3, tip / 5], 1, dtype=np.float32)
+        joints_and_tip = s[:, : LINKS + 2]
+        middle, spread = self.observation_units
+        x = np.concatenate([np.sin(heading), np.cos(heading), joints_and_tip], 1)
+        return ((x - middle) / spread).astype(np.float32)
 
     def proxy_input(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
         # Sines and cosines of absolute angles make the kinematics linear in the features: easy for the proxy.
@@ -279,12 +283,8 @@ class Reacher(Settings, Task):
             terminated=touch,
             diverged=np.zeros_like(touch),
             success=touch,
-            milestones={},
             contact=contact[:, None],
         )
-
-    def solved(self, reached: np.ndarray) -> np.ndarray:
-        return np.any(reached, axis=0)
 
     def _sweep(self, arm: ForwardKinematics, q: np.ndarray, wish: np.ndarray) -> tuple[np.ndarray, ...]:
         """Move the joints one after another, the distal ones first, each until its target or contact.
@@ -341,29 +341,7 @@ class Reacher(Settings, Task):
         return np.pad(q, ((0, 0), (0, 3)))
 
     def spec(self, phi: np.ndarray) -> mujoco.MjSpec:
-        spec = mujoco.MjSpec()
-        spec.modelname = "reacher"
-        body = spec.worldbody
-        body.add_geom(
-            name="base", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[2 * LINK_RADIUS, LINK_RADIUS, 0], rgba=palette.BASE
-        )
-        for i, length in enumerate(phi):
-            body = body.add_body(name=f"link_{i + 1}", pos=[phi[i - 1] if i else 0.0, 0.0, 0.0])
-            body.add_joint(
-                name=f"joint_{i + 1}", axis=[0, 0, 1], damping=[JOINT_DAMPING, 0, 0], armature=JOINT_ARMATURE
-            )
-            geom = body.add_geom(
-                name=f"link_{i + 1}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, length, 0, 0],
-                size=[LINK_RADIUS, 0, 0], mass=0, rgba=palette.PARTS[i],
-            )  # fmt: skip
-            set_inertial(body, arm_link_inertial("distal" if i == LINKS - 1 else "proximal", length))
-            geom.contype, geom.conaffinity = 1, 2  # neighbouring links share a joint: they never collide
-            servo = spec.add_actuator(name=f"joint_{i + 1}", target=f"joint_{i + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            servo.set_to_position(kp=SERVO_KP, kv=SERVO_KV)
-            servo.forcerange, servo.forcelimited = [-SERVO_TORQUE, SERVO_TORQUE], True
-        body.add_site(name="tip", pos=[phi[-1], 0, 0], size=[LINK_RADIUS, 0, 0])
-        spec.add_key(name="start", qpos=self.start)
-        return spec
+        return self.robot.spec(phi, self.name)
 
     def scene(self, phi: np.ndarray) -> mujoco.MjSpec:
         spec = self.spec(phi)

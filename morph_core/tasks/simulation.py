@@ -16,7 +16,7 @@ TIMESTEP = 0.01  # s
 SUBSTEPS = 10
 """Physics steps per control step."""
 SENSOR_SIZE = 4
-"""Each contact sensor: how many contacts, and where the strongest is."""
+"""How many numbers a contact sensor gives: how many contacts there are, and where the strongest is."""
 FASTEST = 100.0
 """m/s or rad/s: a simulation that moves faster has exploded."""
 
@@ -60,12 +60,13 @@ class HandPhysics:
     s holds MuJoCo's qpos, qvel and the solver's warm start: all that the next step depends on.
     """
 
-    def __init__(self, task: Simulated, phi: np.ndarray) -> None:
-        self.phi = phi  # (d,) or (N, d)
+    def __init__(self, task: Simulated, phi: np.ndarray, scene: mujoco.MjSpec | None = None) -> None:
+        """Simulate the scene of each design phi (d,) or (N, d), or one `scene` that was made for phi (d,)."""
+        self.phi = phi
         self.buildable = task.buildable(phi)  # () or (N,) bool
         self._task = task
         distinct, which = np.unique(np.atleast_2d(phi), axis=0, return_inverse=True)
-        models = [task.scene(design).compile() for design in distinct]
+        models = [(scene or task.scene(design)).compile() for design in distinct]
         self._models = [models[i] for i in which.reshape(-1)]
         self._batch: mujoco.batch.Batch | None = None
 

@@ -9,7 +9,7 @@ from studio.export.errors import ExportError
 
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)
 MAX_FILES, MAX_BYTES = 2000, 256 << 20
-"""Of an archive that is read."""
+"""The largest archive that is read: number of files, and their bytes together."""
 
 
 def zipped(files: Mapping[str, bytes], compress: bool = True) -> bytes:

@@ -16,15 +16,13 @@ from morph_core.history import History
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
 from morph_core.task import Task
-from morph_core.tasks.grasp import GraspTask
 from studio.export.archive import zipped
 from studio.export.check import Check
 from studio.export.control import control_settings
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
-from studio.export.meshes import glb, start_posture, stl_files, three_mf
+from studio.export.meshes import glb, start_posture, three_mf
 from studio.export.mjcf import write_mjcf
-from studio.export.parts import BASE, MILLIMETRE, Part, dress, printed_parts
 from studio.export.picture import picture
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
@@ -32,15 +30,18 @@ from studio.export.provenance import design_space_at, provenance_of
 from studio.export.report import bill_of_materials, report
 from studio.export.step import step_files
 from studio.export.urdf import write_urdf
+from studio.robots.chooser import robot_of
+from studio.robots.parts import MILLIMETRE, Part, body_of, colours_of, dress, stl_files
+from studio.robots.robot import Program, Robot
 
 FORMATS = ("mjcf", "urdf", "stl", "3mf", "glb")
 OPTIONAL_FORMATS = ("step",)
-"""Only where it is asked for: it needs build123d and takes long."""
+"""Formats that are written only where they are asked for: STEP needs build123d and takes long."""
 ALL_FORMATS = (*FORMATS, *OPTIONAL_FORMATS)
-PRINTED_FORMATS = ("stl", "3mf", "glb", "step")
-"""Need parts."""
+MESH_FORMATS = ("stl", "3mf", "glb", "step")
+"""Formats that are made of parts."""
 EPISODES = 32
-"""For the policy's success on the exported files: three seconds are all that an export may take."""
+"""How many episodes measure the policy's success on the exported files: an export may take three seconds for it."""
 _SHIPPED = Path(__file__).parent / "shipped"
 
 
@@ -49,11 +50,11 @@ class Bundle:
     """An export that has been checked."""
 
     name: str
-    """Of the zip."""
+    """The name of the zip."""
     files: Mapping[str, bytes]
     checks: Sequence[Check]
     content: bytes
-    """The zip."""
+    """The bytes of the zip."""
 
 
 def build_bundle(history: History, which: str, formats: Sequence[str] | None = None) -> Bundle:
@@ -68,12 +69,7 @@ def build_bundle(history: History, which: str, formats: Sequence[str] | None = N
 
 def default_formats(task: Task) -> tuple[str, ...]:
     """Return what is exported unless it is said otherwise."""
-    return FORMATS if printable(task) else tuple(f for f in FORMATS if f not in PRINTED_FORMATS)
-
-
-def printable(task: Task) -> bool:
-    """Tell whether there are printable parts for the task's robots."""
-    return isinstance(task, GraspTask) or task.name == "reacher"
+    return FORMATS if robot_of(task).has_parts else tuple(f for f in FORMATS if f not in MESH_FORMATS)
 
 
 def _build(history: History, which: str, formats: Sequence[str] | None) -> tuple[dict[str, bytes], list[Check]]:
@@ -82,11 +78,12 @@ def _build(history: History, which: str, formats: Sequence[str] | None) -> tuple
     _check_phi(history, phi)
     formats = default_formats(task) if formats is None else formats
     check_formats(formats, task)
-    parts = printed_parts(task, phi)
+    robot = robot_of(task)
+    parts = parts_of_design(robot, phi)
     design = _design(history, task, which, iteration, phi, parts)
     policy = policy_at(history, iteration)
     try:
-        files = robot_files(task, phi, parts, design.robot, formats)
+        files = robot_files(task, phi, parts, formats)
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
     checks = prove_robot(files, design, task, phi, only_mujoco=True)
@@ -94,8 +91,9 @@ def _build(history: History, which: str, formats: Sequence[str] | None) -> tuple
         (e for e in reversed(history.evaluations) if e.iteration == iteration and e.phi == phi.tolist()), None
     )
     scores: list[Score] = []
-    if policy and printable(task) and "mjcf" in formats:
-        files |= policy_files(policy, task)
+    program = robot.program(phi) if policy and "mjcf" in formats else None
+    if policy and program:
+        files |= policy_files(policy, program, task.horizon)
         found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), EPISODES)
         checks += compared
         scores = [*([msgspec.structs.replace(found, where="at export")] if found else []),
@@ -103,35 +101,44 @@ def _build(history: History, which: str, formats: Sequence[str] | None) -> tuple
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     files[FILE] = _json(msgspec.to_builtins(design))
-    files |= _papers(task, design, phi, parts, scores, recorded, formats)
+    files |= _papers(task, design, phi, parts, program, scores, recorded, formats)
     provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores)
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
     return files, checks
 
 
-def robot_files(
-    task: Task, phi: np.ndarray, parts: Sequence[Part], robot: str, formats: Sequence[str]
-) -> dict[str, bytes]:
-    """Return the robot in every format; its meshes are the files that are printed."""
-    spec, scene = task.spec(phi), task.scene(phi)
-    model = spec.compile()
+def parts_of_design(robot: Robot, phi: np.ndarray) -> list[Part]:
+    """Return the parts of a design (d,); ExportError for one that can't be put together."""
+    try:
+        return robot.parts(phi)
+    except ValueError as error:
+        raise ExportError(str(error)) from error
+
+
+def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
+    """Return the robot in every format; where its parts are printed, it shows the files that are printed."""
+    spec, scene, robot = task.spec(phi), task.scene(phi), robot_of(task)
+    model, name = spec.compile(), robot.file_name
+    worn = parts if robot.printed else []
+    shown = stl_files(worn)
     files: dict[str, bytes] = {}
-    shown = stl_files(parts)
-    if {"mjcf", "urdf", "stl"} & set(formats):
+    if "stl" in formats:
+        files |= stl_files(parts)
+    if {"mjcf", "urdf"} & set(formats):
         files |= shown
     if "mjcf" in formats:
         _add_start(task, scene, phi)
-        plain = write_mjcf(dress(spec, parts, shown), f"{robot}.xml", "meshes", shown)
-        files |= plain | write_mjcf(dress(scene, parts, shown), "scene.xml", "meshes_scene", shown)
-        files[f"{robot}.mjz"] = zipped({"model.xml": plain.pop(f"{robot}.xml"), **plain, **shown})
+        plain = write_mjcf(dress(spec, worn, shown), f"{name}.xml", "meshes", shown)
+        files |= plain | write_mjcf(dress(scene, worn, shown), "scene.xml", "meshes_scene", shown)
+        files[f"{name}.mjz"] = zipped({"model.xml": plain.pop(f"{name}.xml"), **plain, **shown})
     if "urdf" in formats:
-        visuals = {link: part.stl_path for part in parts for link in part.links}
-        files |= write_urdf(model, f"{robot}.urdf", task.name, visuals)
+        visuals = {link: part.stl_path for part in worn for link in part.links}
+        files |= write_urdf(model, f"{name}.urdf", task.name, visuals)
         files["control.json"] = _json(control_settings(model, task.scene(phi).compile()))
     if "3mf" in formats:
         files |= {f"3mf/{part.name}.3mf": three_mf(part) for part in parts}
     if "glb" in formats:
-        files["assembly.glb"] = glb(parts, model, _colours(model, parts))
+        files["assembly.glb"] = glb(parts, model, colours_of(model, parts))
     if "step" in formats:
         files |= step_files(parts)
     return files
@@ -150,46 +157,52 @@ def _papers(
     design: Design,
     phi: np.ndarray,
     parts: Sequence[Part],
+    program: Program | None,
     scores: Sequence[Score],
     recorded: Evaluation | None,
     formats: Sequence[str],
 ) -> dict[str, bytes]:
     """Return what is written for people."""
+    robot = robot_of(task)
     papers = {
-        "README.txt": _readme(design, formats, policy=bool(scores)).encode(),
+        "README.txt": _readme(robot, formats, program).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
     image = None
+    if robot.printed:
+        papers["BOM.csv"] = bill_of_materials(parts, robot)
     if parts:
-        papers["BOM.csv"] = bill_of_materials(parts, task if isinstance(task, GraspTask) else None)
         model = task.spec(phi).compile()
-        data, colours = start_posture(model), _colours(model, parts)
+        data, colours = start_posture(model), colours_of(model, parts)
         surfaces = []
         for part in parts:
             for link in part.links:
-                body = 0 if link == BASE else model.body(link).id
+                body = body_of(model, link)
                 placed = MILLIMETRE * part.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
                 surfaces.append((placed[part.faces], colours[link][:3]))
         image = picture(surfaces)
     measured = next((score for score in scores if score.where == "at export"), None)
-    papers["report.html"] = report(design, image, parts, measured, recorded, policy=bool(scores))
+    papers["report.html"] = report(design, robot, image, parts, measured, recorded, program)
     return papers
 
 
-def _readme(design: Design, formats: Sequence[str], policy: bool) -> str:
-    robot = design.robot
+def _readme(robot: Robot, formats: Sequence[str], program: Program | None) -> str:
+    name = robot.file_name
+    printed = "Print:   parts/*.stl (mm), one file for each part; BOM.csv says how many"
+    shapes = "Shapes:  parts/*.stl (mm), the collision shapes of each link, which stand in for parts"
     lines = {
-        "mjcf": f'MuJoCo:  mujoco.MjModel.from_xml_path("{robot}.xml"), or scene.xml for the robot with its task;\n'
-        f"         python -m mujoco.viewer --mjcf=scene.xml, or drop {robot}.mjz on live.mujoco.org",
-        "urdf": f'URDF:    yourdfpy.URDF.load("{robot}.urdf"), or any other reader; effort or velocity 1e6 means\n'
+        "mjcf": f'MuJoCo:  mujoco.MjModel.from_xml_path("{name}.xml"), or scene.xml for the robot with its task;\n'
+        f"         python -m mujoco.viewer --mjcf=scene.xml, or drop {name}.mjz on live.mujoco.org",
+        "urdf": f'URDF:    yourdfpy.URDF.load("{name}.urdf"), or any other reader; effort or velocity 1e6 means\n'
         "         that the task sets no limit; gains, armature and contact settings are in control.json",
-        "stl": "Print:   parts/*.stl (mm), one file for each part; BOM.csv says how many",
+        "stl": printed if robot.printed else shapes,
         "3mf": "         3mf/*.3mf (mm), with as many copies as are needed",
         "glb": "Look:    assembly.glb (m)",
         "step": "CAD:     step/*.step (mm), plane faces",
     }
-    said = [lines[name] for name in lines if name in formats]
-    said += ["Policy:  python run_policy.py"] if policy else []
+    said = [lines[kind] for kind in lines if kind in formats]
+    if program:
+        said.append("\n         ".join([f"Policy:  {program.command}", *program.about]))
     return "\n".join([*said, "Check:   morph-studio verify THIS_BUNDLE", "More:    report.html", ""])
 
 
@@ -199,10 +212,6 @@ def _promised(history: History, recorded: Evaluation | None, policy: Policy) -> 
         return []
     episodes = flattened(history.record.config).get("evaluation.episodes")
     return [Score(episodes, recorded.sampled_success, "in training")] if isinstance(episodes, int) else []
-
-
-def _colours(model: mujoco.MjModel, parts: Sequence[Part]) -> dict[str, np.ndarray]:
-    return {link: model.geom(link).rgba for part in parts for link in part.links}
 
 
 def bundle_name(history: History, which: str) -> str:
@@ -215,10 +224,10 @@ def bundle_name(history: History, which: str) -> str:
 
 def check_formats(formats: Sequence[str], task: Task) -> None:
     """Raise ExportError that lists the available formats unless all of `formats` are."""
-    allowed = (*default_formats(task), *(OPTIONAL_FORMATS if printable(task) else ()))
+    allowed = (*default_formats(task), *(OPTIONAL_FORMATS if robot_of(task).has_parts else ()))
     for name in formats:
-        if name in PRINTED_FORMATS and name not in allowed:
-            raise ExportError(f"{task.name} has no printable parts for {name}; choose from: {', '.join(allowed)}")
+        if name in MESH_FORMATS and name not in allowed:
+            raise ExportError(f"{task.name} has no shapes for {name}; choose from: {', '.join(allowed)}")
         if name not in allowed:
             raise ExportError(f'unknown format "{name[:40]}"; choose from: {", ".join(allowed)}')
     if not formats:
@@ -259,7 +268,7 @@ def _design(history: History, task: Task, which: str, iteration: int, phi: np.nd
     return Design(
         task=task.name,
         task_options=history.record.task_options,
-        robot="hand" if isinstance(task, GraspTask) else "robot",
+        robot=robot_of(task).file_name,
         run=history.folder.id,
         design=which,
         iteration=iteration,

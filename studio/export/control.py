@@ -3,10 +3,12 @@
 import mujoco
 import numpy as np
 
+from studio.export.urdf import urdf_names
+
 
 def control_settings(robot: mujoco.MjModel, scene: mujoco.MjModel) -> dict[str, object]:
     """Return the settings by the names that joints and links have in the URDF; SI units."""
-    option = scene.opt
+    option, names = scene.opt, urdf_names(robot)
     return {
         "about": "force = kp (target - q) - kd qd, within +- max_force; SI units; the MJCF holds all of it",
         "solver": {
@@ -17,8 +19,8 @@ def control_settings(robot: mujoco.MjModel, scene: mujoco.MjModel) -> dict[str, 
             "iterations": int(option.iterations),
             "gravity": option.gravity.tolist(),
         },
-        "joints": {robot.joint(j).name: _joint(robot, j) for j in range(robot.njnt)},
-        "links": {robot.body(b).name: _link(robot, b) for b in range(1, robot.nbody)},
+        "joints": {names.joints[j]: _joint(robot, j) for j in range(robot.njnt)},
+        "links": {names.links[b]: _link(robot, b) for b in range(1, robot.nbody)},
     }
 
 

@@ -36,7 +36,7 @@ class PartEntry(msgspec.Struct, frozen=True):
     name: str
     links: list[str]
     mass: float
-    """kg, of one."""
+    """kg: the mass of one such part."""
 
 
 class Design(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,16 +1,13 @@
-"""Parts as mesh files: STL and 3MF in millimetres for printing, one GLB of the assembly in metres for looking at."""
+"""Parts as mesh files beside STL: 3MF in millimetres for printing, one GLB of the assembly in metres for looking at."""
 
-import io
-import zipfile
 from collections.abc import Mapping, Sequence
-from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
 import mujoco
 import numpy as np
 
 from studio.export.archive import zipped
-from studio.export.parts import BASE, MILLIMETRE, Part
+from studio.robots.parts import MILLIMETRE, Part, body_of
 
 _CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 _RELATIONS = """\
@@ -27,22 +24,6 @@ _TYPES = """\
 </Types>
 """
 BETWEEN_COPIES = 10.0  # mm on the print bed
-
-
-def stl(vertices: np.ndarray, faces: np.ndarray, title: str) -> bytes:
-    """Return a binary STL, single precision."""
-    corners = vertices[faces]  # (F, 3, 3)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    table = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    table["normal"] = normals / np.where(length == 0, 1.0, length)
-    table["corners"] = corners
-    return title.encode("ascii", "replace")[:80].ljust(80) + len(faces).to_bytes(4, "little") + table.tobytes()
-
-
-def stl_files(parts: Sequence[Part]) -> dict[str, bytes]:
-    """Return the parts' STL files by path."""
-    return {part.stl_path: stl(part.vertices, part.faces, f"{part.name}, millimetres") for part in parts}
 
 
 def three_mf(part: Part) -> bytes:
@@ -68,19 +49,6 @@ def three_mf(part: Part) -> bytes:
     )
 
 
-def read_three_mf(content: bytes) -> tuple[np.ndarray, np.ndarray, int, str, str]:
-    """Return vertices (V, 3), faces (F, 3), copies, name and unit; raise ValueError or KeyError for another shape."""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        root = ElementTree.fromstring(archive.read("3D/3dmodel.model"))
-    things = root.findall(f".//{{{_CORE}}}object")
-    if len(things) != 1:
-        raise ValueError(f"{len(things)} objects where one part belongs")
-    vertices = [[float(v.attrib[c]) for c in "xyz"] for v in things[0].iter(f"{{{_CORE}}}vertex")]
-    faces = [[int(t.attrib[c]) for c in ("v1", "v2", "v3")] for t in things[0].iter(f"{{{_CORE}}}triangle")]
-    copies = len(root.findall(f".//{{{_CORE}}}item"))
-    return np.array(vertices), np.array(faces), copies, things[0].get("name", ""), root.get("unit", "")
-
-
 def glb(parts: Sequence[Part], model: mujoco.MjModel, colours: Mapping[str, np.ndarray]) -> bytes:
     """Return the assembly in the model's start posture, in metres, its nodes named like the links; y is up."""
     import trimesh  # slow to load, and a server must start fast
@@ -93,7 +61,7 @@ def glb(parts: Sequence[Part], model: mujoco.MjModel, colours: Mapping[str, np.n
     upright = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     for part in parts:
         for link in part.links:
-            body = 0 if link == BASE else model.body(link).id
+            body = body_of(model, link)
             pose = np.eye(4)
             pose[:3, :3], pose[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
             mesh = trimesh.Trimesh(part.vertices * MILLIMETRE, part.faces, process=False)

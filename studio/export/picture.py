@@ -8,13 +8,13 @@ import numpy as np
 
 WIDTH, HEIGHT = 720, 540
 _OVERSAMPLING = 2
-"""Pixels along a side that are averaged to one."""
+"""How many pixels along a side are averaged to one."""
 _LIGHT = np.array([0.35, 0.25, 0.9]) / np.linalg.norm([0.35, 0.25, 0.9])  # seen from the camera: right, up, towards it
 _DIRECTION = np.array([-0.75, 0.95, -0.5])
-"""Of sight."""
+"""Direction of sight."""
 
 Surface = tuple[np.ndarray, np.ndarray]
-"""Triangles (F, 3, 3) in the world, and red, green, blue (3,) in [0, 1]."""
+"""A surface of one colour: triangles (F, 3, 3) in the world, and red, green, blue (3,) in [0, 1]."""
 
 
 def picture(surfaces: Sequence[Surface]) -> bytes:

@@ -3,11 +3,9 @@
 import io
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, cast
 
 import msgspec
-import mujoco
 import numpy as np
 import safetensors
 from safetensors.numpy import load_file
@@ -15,14 +13,12 @@ from safetensors.numpy import load_file
 from morph_core.history import History
 from morph_core.rollout import collect
 from morph_core.task import Hardware, Task
-from morph_core.tasks.grasp import GraspTask
-from morph_core.tasks.simulation import SUBSTEPS, HandPhysics
 from studio.export.errors import ExportError
+from studio.robots.robot import Program
 
 LAYERS = 3
 SMALLEST_STD, LARGEST_STD = 0.02, 2.0
-"""As in `morph_core.networks`, which needs torch."""
-_SHIPPED = Path(__file__).parent / "shipped"
+"""Limits of the standard deviation, as in `morph_core.networks`, which needs torch."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +29,7 @@ class Policy:
     biases: list[np.ndarray]
     std: np.ndarray  # (action_size,)
     iteration: int
-    """Of the checkpoint."""
+    """The iteration of the checkpoint it was read from."""
 
     def act(self, observation: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
         """Return actions (N, action_size) for observations (N, o); the mean where `rng` is None."""
@@ -76,22 +72,15 @@ def policy_at(history: History, iteration: int) -> Policy | None:
     return Policy(weights, biases, std, saved[-1])
 
 
-def policy_files(policy: Policy, task: Task) -> dict[str, bytes]:
-    """Return policy.npz and the program that runs it."""
-    arrays: dict[str, np.ndarray] = {"std": policy.std, "horizon": np.array(task.horizon)}
+def policy_files(policy: Policy, program: Program, horizon: int) -> dict[str, bytes]:
+    """Return policy.npz and the program that runs it for `horizon` control steps."""
+    arrays: dict[str, np.ndarray] = {"std": policy.std, "horizon": np.array(horizon)}
     for i, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
         arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
-    if isinstance(task, GraspTask):
-        middle, spread = _observation_units(task)
-        scale = np.array([task.palm_step, *[task.joint_step] * (2 * task.fingers)])
-        arrays |= {"middle": middle, "spread": spread, "action_scale": scale, "substeps": np.array(SUBSTEPS)}
-        runner = "run_hand.py"
-    else:
-        arrays["action_scale"] = np.full(task.action_size, cast(Any, task).action_scale)
-        runner = "run_arm.py"
+    arrays |= program.arrays
     buffer = io.BytesIO()
     np.savez(buffer, **cast(dict[str, Any], arrays))
-    return {"policy.npz": buffer.getvalue(), "run_policy.py": (_SHIPPED / runner).read_bytes()}
+    return {"policy.npz": buffer.getvalue(), "run_policy.py": program.source}
 
 
 def read_policy(content: bytes) -> Policy:
@@ -107,37 +96,3 @@ def score(task: Task, policy: Policy, hardware: Hardware, episodes: int, where: 
     start = task.reset(hardware, episodes, rng)
     rollout = collect(task, lambda seen: policy.act(seen, rng), hardware, start)
     return Score(episodes, float(rollout.successes.sum()) / episodes, where)
-
-
-def hardware_of(task: Task, scene: mujoco.MjSpec, phi: np.ndarray) -> Hardware:
-    """Return Hw-Phy with the robot of `scene`, as it was read from a file, in place of the one that phi (d,) makes."""
-    if isinstance(task, GraspTask):
-        return HandPhysics(cast(GraspTask, _Reloaded(task, scene)), phi)
-    model = scene.compile()
-    ends = [model.body(f"link_{i}").pos[0] for i in range(2, len(phi) + 1)]
-    return task.hw_phy(np.array([*ends, model.site("tip").pos[0]]))
-
-
-class _Reloaded:
-    """A task whose scene came from a file."""
-
-    def __init__(self, task: GraspTask, scene: mujoco.MjSpec) -> None:
-        self._task, self._scene = task, scene
-
-    def scene(self, _: np.ndarray) -> mujoco.MjSpec:
-        return self._scene
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._task, name)
-
-
-def _observation_units(task: GraspTask) -> tuple[np.ndarray, np.ndarray]:
-    """Return middle and spread (o,) of what the policy sees: observation = (qpos - middle) / spread."""
-    size = task.observation_size
-    states = np.zeros((size + 1, task.state_size))
-    states[1:, :size] = np.eye(size)
-    seen = task.observe(states).astype(float)
-    spread = 1 / np.diag(seen[1:] - seen[0])
-    middle = -seen[0] * spread
-    # The task rounds what it shows to single precision; its own numbers have few digits.
-    return np.array([float(f"{m:.5g}") for m in middle]), np.array([float(f"{s:.5g}") for s in spread])

@@ -16,16 +16,17 @@ from morph_core.catalogue import make_task
 from morph_core.task import Task
 from studio.export.check import Check, worst
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
-from studio.export.meshes import read_three_mf, start_posture
-from studio.export.parts import BASE, MILLIMETRE
-from studio.export.policy import Score, hardware_of, read_policy, score
+from studio.export.meshes import start_posture
+from studio.export.policy import Score, read_policy, score
 from studio.export.provenance import Provenance
 from studio.export.readings import collision_box, read_mjcf
 from studio.export.verify import verify
-from studio.geometry import moments
+from studio.robots.chooser import robot_of
+from studio.robots.geometry import moments
+from studio.robots.parts import BASE, MILLIMETRE, body_of
 
 MASS_ALLOWED = 1e-6
-"""Relative: STL and GLB are single precision."""
+"""Relative difference of masses that is allowed: STL and GLB are single precision."""
 SINGLE_ALLOWED = 1e-6  # relative to the robot's size
 SCENE_ALLOWED = 1e-9
 _DYNAMICS = (
@@ -35,7 +36,7 @@ _DYNAMICS = (
 )  # fmt: skip
 PROVENANCE = "provenance.json"
 Surface = tuple[np.ndarray, np.ndarray]
-"""Vertices (V, 3) m and faces (F, 3)."""
+"""A closed surface: vertices (V, 3) m and faces (F, 3)."""
 
 
 def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = False) -> list[Check]:
@@ -60,12 +61,12 @@ def prove_robot(
     files: Mapping[str, bytes], design: Design, task: Task, phi: np.ndarray, *, only_mujoco: bool = False
 ) -> list[Check]:
     """Compare MJCF, URDF and parts with the robot that phi (d,) makes."""
-    model = task.spec(phi).compile()
+    model, printed = task.spec(phi).compile(), robot_of(task).printed
     checks = verify(files, model, robot=design.robot, only_mujoco=only_mujoco)
     for part in design.parts:
-        checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model))
+        checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed))
     if "assembly.glb" in files:
-        checks += _guarded("assembly.glb", lambda: _check_assembly(files["assembly.glb"], design, model))
+        checks += _guarded("assembly.glb", lambda: _check_assembly(files["assembly.glb"], design, model, printed))
     return checks
 
 
@@ -79,7 +80,7 @@ def prove_policy(
             unpack(files, Path(folder))
             scene = mujoco.MjSpec.from_file(str(Path(folder) / "scene.xml"))
             reloaded = scene.compile()
-            found = score(task, read_policy(files["policy.npz"]), hardware_of(task, scene, phi), episodes, "reloaded")
+            found = score(task, read_policy(files["policy.npz"]), task.hw_phy_from(scene, phi), episodes, "reloaded")
     except Exception as error:  # as with every other file
         return None, [Check(name, math.inf, 0.0, f"can't be run: {error}")]
     checks = [_compare_scenes(task.scene(phi).compile(), reloaded)]
@@ -144,7 +145,8 @@ def _guarded(name: str, check: Callable[[], list[Check]]) -> list[Check]:
         return [Check(name, math.inf, 0.0, f"can't be read: {error}")]
 
 
-def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjModel) -> list[Check]:
+def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjModel, printed: bool) -> list[Check]:
+    """Check the files of a part; one that is `printed` is one body, and as heavy as the link."""
     checks: list[Check] = []
     surfaces: dict[str, Surface] = {}
     stl, three_mf = f"parts/{part.name}.stl", f"3mf/{part.name}.3mf"
@@ -154,64 +156,82 @@ def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjMod
         mesh = trimesh.load_mesh(io.BytesIO(files[stl]), file_type="stl")
         surfaces[stl] = np.asarray(mesh.vertices) * MILLIMETRE, np.asarray(mesh.faces)
     if three_mf in files:
-        vertices, faces, copies, name, unit = read_three_mf(files[three_mf])
-        surfaces[three_mf] = vertices * MILLIMETRE, faces
-        sound = copies == len(part.links) and name == part.name and unit == "millimeter"
-        said = f"{copies} x {name} in {unit}"
-        checks.append(Check(f"{three_mf}: quantity, name and unit", float(not sound), 0.0, said))
+        surfaces[three_mf], check = _read_three_mf(three_mf, files[three_mf], part)
+        checks.append(check)
     for path, surface in surfaces.items():
-        checks.append(_check_solid(path, surface))
+        checks.append(_check_solid(path, surface, one_body=printed))
         if not len(surface[1]):
             continue
-        checks += [c for link in part.links if link != BASE for c in _check_mass(path, surface, model, link)]
+        for link in part.links:
+            if link != BASE:
+                checks += _check_mass(path, surface, model, link) if printed else []
+                checks += _check_enclosed(path, surface, model, link)
     return checks
 
 
-def _check_solid(path: str, surface: Surface) -> Check:
-    """Check that a surface is watertight, outside out, and one body."""
+def _read_three_mf(path: str, content: bytes, part: PartEntry) -> tuple[Surface, Check]:
+    """Return the surface of the one part that trimesh finds in a 3MF, and the check of what else that says of it."""
     import trimesh
 
+    scene = trimesh.load_scene(io.BytesIO(content), file_type="3mf")
+    ((name, mesh),) = scene.geometry.items()
+    copies, unit = len(scene.graph.nodes_geometry), scene.units
+    sound = copies == len(part.links) and name == part.name and unit == "millimeter"
+    check = Check(f"{path}: quantity, name and unit", float(not sound), 0.0, f"{copies} x {name} in {unit}")
+    return (np.asarray(mesh.vertices) * MILLIMETRE, np.asarray(mesh.faces)), check
+
+
+def _check_solid(path: str, surface: Surface, one_body: bool) -> Check:
+    """Check that a surface is watertight, outside out, and one body where it must be."""
+    import trimesh
+
+    name = f"{path}: watertight, a volume" + (", one body" if one_body else "")
     mesh = trimesh.Trimesh(*surface, process=False)
     body = Manifold(Mesh64(surface[0], surface[1].astype(np.uint64)))
     if not len(surface[1]):
-        return Check(f"{path}: watertight, a volume, one body", math.inf, 0.0, "it is empty")
+        return Check(name, math.inf, 0.0, "it is empty")
     faults = [
         said
         for fault, said in (
             (not mesh.is_watertight, "not watertight"),
             (not mesh.is_volume, "no volume"),
             (body.status() != Error.NoError, f"no solid ({body.status().name})"),
-            (len(body.decompose()) != 1, f"{len(body.decompose())} bodies"),
+            (one_body and len(body.decompose()) != 1, f"{len(body.decompose())} bodies"),
         )
         if fault
     ]
-    return Check(f"{path}: watertight, a volume, one body", float(len(faults)), 0.0, "; ".join(faults))
+    return Check(name, float(len(faults)), 0.0, "; ".join(faults))
 
 
 def _check_mass(path: str, surface: Surface, model: mujoco.MjModel, link: str) -> list[Check]:
-    """Compare a printed part with the body that is simulated, and see that its collision shapes enclose it."""
-    body = model.body(link).id
+    """Compare the mass properties of a printed part with those of the body that is simulated."""
+    body = body_of(model, link)
     printed = moments(*surface).inertial()
     mass, reading = model.body_mass[body], read_mjcf(model)
     inertia = reading.inertias[link]
     off_centre = np.abs(printed.com - model.body_ipos[body]).max() / np.ptp(surface[0], axis=0).max()
-    checks = [
+    return [
         Check(f"{path}: mass of {link}", abs(printed.mass - float(mass)) / float(mass), MASS_ALLOWED),
         Check(f"{path}: centre of mass of {link}", float(off_centre), MASS_ALLOWED),
         Check(
             f"{path}: inertia of {link}", float(np.abs(printed.inertia - inertia).max() / inertia.max()), MASS_ALLOWED
         ),
     ]
+
+
+def _check_enclosed(path: str, surface: Surface, model: mujoco.MjModel, link: str) -> list[Check]:
+    """Check that a part is inside the box round its link's collision shapes."""
+    body = body_of(model, link)
     box = collision_box(model, body, np.zeros(3))
     forks = int((model.body_parentid[1:] == body).sum()) > 1  # a palm's mounts are enclosed by the fingers' ends
-    if box is not None and not forks:
-        out = max((box[0] - surface[0].min(0)).max(), (surface[0].max(0) - box[1]).max(), 0.0)
-        checks.append(Check(f"{path}: inside the collision shapes of {link} (m)", float(out), SINGLE_ALLOWED))
-    return checks
+    if box is None or forks:
+        return []
+    out = max((box[0] - surface[0].min(0)).max(), (surface[0].max(0) - box[1]).max(), 0.0)
+    return [Check(f"{path}: inside the collision shapes of {link} (m)", float(out), SINGLE_ALLOWED)]
 
 
-def _check_assembly(content: bytes, design: Design, model: mujoco.MjModel) -> list[Check]:
-    """Check that each link's node stands where the link does at the start, and is as heavy as the part."""
+def _check_assembly(content: bytes, design: Design, model: mujoco.MjModel, printed: bool) -> list[Check]:
+    """Check that each link's node stands where the link does at the start, and is as heavy as a `printed` part."""
     import trimesh
 
     scene = trimesh.load_scene(io.BytesIO(content), file_type="glb")
@@ -222,14 +242,14 @@ def _check_assembly(content: bytes, design: Design, model: mujoco.MjModel) -> li
     masses: dict[str, float] = {}
     for part in design.parts:
         for link in part.links:
-            body = 0 if link == BASE else model.body(link).id
+            body = body_of(model, link)
             pose, geometry = scene.graph[link]
             places[link] = float(np.abs(down @ pose[:3, 3] - data.xpos[body]).max()) / size
+            if not printed:
+                continue
             mesh = scene.geometry[geometry].copy()
             mesh.merge_vertices(merge_norm=True, merge_tex=True)
             mass = moments(np.asarray(mesh.vertices), np.asarray(mesh.faces)).inertial().mass
             masses[link] = abs(mass - part.mass) / part.mass
-    return [
-        worst("assembly.glb: positions of the links", SINGLE_ALLOWED, places),
-        worst("assembly.glb: masses", MASS_ALLOWED, masses),
-    ]
+    positions = worst("assembly.glb: positions of the links", SINGLE_ALLOWED, places)
+    return [positions, *[worst("assembly.glb: masses", MASS_ALLOWED, masses)] * printed]

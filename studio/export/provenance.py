@@ -35,7 +35,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     config: dict[str, object]
     versions: dict[str, str]
-    """At the start of the run."""
+    """Versions of packages at the start of the run."""
     export_versions: dict[str, str]
     git_revision: str | None
     git_dirty: bool | None
@@ -44,13 +44,13 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     commands: list[TakenCommand]
     commands_sha256: str
     sha256: dict[str, str]
-    """Of every other file."""
+    """Digests of every other file, by path."""
     checks: list[str]
     """How the exported files were compared with the simulated robot."""
     policy: list[Score] = []
     """How able the policy was: on the exported files, and in training with the same design."""
     exported: str
-    """UTC."""
+    """When it was exported (UTC)."""
 
 
 def provenance_of(

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from html import escape
 
 from morph_core.protocol import Evaluation
-from morph_core.tasks.grasp import GraspTask
-from morph_core.tasks.printed import ARM_SCALE, DENSITY, INFILL
 from studio.export.design_file import Design
-from studio.export.parts import Part
 from studio.export.policy import Score
-from studio.geometry import SIZES
+from studio.robots.parts import Part
+from studio.robots.robot import Program, Robot
 
 _STYLE = """\
 body{font:15px/1.5 system-ui,sans-serif;max-width:52rem;margin:2rem auto;padding:0 1rem;color:#1c1e22;background:#fff}
@@ -24,7 +22,7 @@ pre{background:#f3f4f6;padding:.6rem;overflow-x:auto}.dim{color:#5c6370}
 """
 
 
-def bill_of_materials(parts: Sequence[Part], hand: GraspTask | None) -> bytes:
+def bill_of_materials(parts: Sequence[Part], robot: Robot) -> bytes:
     """Return BOM.csv: what is printed, and what is bought."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -33,46 +31,24 @@ def bill_of_materials(parts: Sequence[Part], hand: GraspTask | None) -> bytes:
         size = " x ".join(f"{s:.1f}" for s in part.size)
         note = "longer than common printers: print it in pieces" if part.size.max() > 350 else ""
         writer.writerow([
-            part.name, part.quantity, " ".join(part.links), part.stl_path, f"PLA, infill {INFILL:.0%}",
+            part.name, part.quantity, " ".join(part.links), part.stl_path, "PLA, infill 100%",
             f"{1000 * part.inertial.mass:.2f}", size, note,
         ])  # fmt: skip
-    for item in _bought(parts, hand):
-        writer.writerow(item)
+    writer.writerows(robot.bought(parts))
     return out.getvalue().encode()
-
-
-def _bought(parts: Sequence[Part], hand: GraspTask | None) -> list[list[object]]:
-    links = sum(part.quantity for part in parts) - 1
-    scale = 1.0 if hand else ARM_SCALE
-    pin, length = SIZES.pin_diameter * scale, 2 * SIZES.half_width * scale
-    items: list[list[object]] = [
-        [f"dowel pin {pin:g} x {length:g} mm", links, "", "", "steel", "", "",
-         "press into the lugs; not in the masses"]
-    ]  # fmt: skip
-    if hand:
-        items.append(["bolt M6 x 20", 4, "palm", "", "steel", "", "", "flange ISO 9409-1-50-4-M6; not in the masses"])
-    if hand and hand.servo != "none":
-        items.append([
-            f"servo {hand.servo.upper()}", hand.fingers, "palm", "", "", 13.4, "",
-            "screw into its pocket; its tendon runs down through the hole beside it; not in the masses; weaker "
-            "than the drives that were simulated: control.json",
-        ])  # fmt: skip
-    items.append([
-        "servo or tendon drive", links, "", "", "", "", "",
-        "not part of the design: control.json says which torque and gains were simulated",
-    ])  # fmt: skip
-    return items
 
 
 def report(
     design: Design,
+    robot: Robot,
     picture: bytes | None,
     parts: Sequence[Part],
     score: Score | None,
     recorded: Evaluation | None,
-    policy: bool,
+    program: Program | None,
 ) -> bytes:
     """Return the page; everything in it that came from a run is escaped, and nothing in it is loaded from elsewhere."""
+    run = f"<p>The policy, with numpy and mujoco alone<pre>{escape(program.command)}</pre>" if program else ""
     image = (
         f'<img alt="the assembled robot" src="data:image/png;base64,{base64.b64encode(picture).decode()}">'
         if picture
@@ -93,7 +69,7 @@ def report(
 <h2>Design &phi;</h2>
 <table><tr><th>parameter<th>value<th>unit<th>initial<th>bounds<th></tr>{rows}</table>
 <h2>Success</h2>{_success(score, recorded)}
-{_parts(parts)}
+{_parts(parts, robot)}
 <h2>Load it</h2>
 <p>MuJoCo: the robot alone, or with its task
 <pre>model = mujoco.MjModel.from_xml_path("{escape(design.robot)}.xml")
@@ -104,7 +80,7 @@ ros2 launch urdf_tutorial display.launch.py model:=$PWD/ros.urdf</pre>
 <p>Isaac Sim / Isaac Lab
 <pre>./isaaclab.sh -p scripts/tools/convert_urdf.py {escape(design.robot)}.urdf {escape(design.robot)}.usd --fix-base
 # then set the servo gains and armatures of control.json on the joint drives</pre>
-{"<p>The policy, with numpy and mujoco alone<pre>python run_policy.py</pre>" if policy else ""}
+{run}
 <p class=dim>Everything is compared with the simulated robot before it is offered; again at any time:
 <pre>morph-studio verify THIS_BUNDLE</pre>
 </html>
@@ -128,7 +104,7 @@ def _success(score: Score | None, recorded: Evaluation | None) -> str:
     return "".join(lines) or "<p>Not measured: the run holds neither an evaluation nor a policy of this design."
 
 
-def _parts(parts: Sequence[Part]) -> str:
+def _parts(parts: Sequence[Part], robot: Robot) -> str:
     if not parts:
         return ""
     rows = "".join(
@@ -136,8 +112,6 @@ def _parts(parts: Sequence[Part]) -> str:
         f"<td class=n>{' &times; '.join(f'{s:.1f}' for s in part.size)}<td>{escape(', '.join(part.links))}"
         for part in parts
     )
-    return f"""<h2>Parts to print</h2>
+    return f"""<h2>{"Parts to print" if robot.printed else "Parts"}</h2>
 <table><tr><th>part<th>quantity<th>g each<th>mm<th>links</tr>{rows}</table>
-<p>PLA ({DENSITY:g} kg/m&sup3;), infill {INFILL:.0%}, lying on the widest side. Pin bores: {SIZES.pin_diameter:g} mm,
-pressed in the lugs, {SIZES.pin_play:g} mm play in the tang; {SIZES.side_play:g} mm between tang and lug. The links
-hold no motor, and pins and bolts are not in the masses: BOM.csv."""
+{robot.about_parts}"""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from studio.export.errors import ExportError
-from studio.export.parts import Part
+from studio.robots.parts import Part
 
 TIMEOUT = 300.0  # s
 _WORKER = Path(__file__).parent / "shipped" / "write_step.py"

@@ -4,7 +4,6 @@ URDF knows no capsule (here: a cylinder and two spheres), no body with several j
 size and of negligible mass), and no armature, servo gain or contact option (they are in the MJCF only).
 """
 
-import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -15,12 +14,14 @@ import mujoco
 import numpy as np
 
 from studio.export.errors import ExportError
-from studio.export.meshes import stl
+from studio.robots.parts import free_name, link_names
+from studio.robots.stl import stl
 
 NO_LIMIT = 1e6
-"""Stands in for a limit that the task does not set, where URDF demands one (N, N m, m/s, rad/s, m)."""
+"""The number that stands in for a limit which the task does not set, where URDF demands one (N, N m, m/s, rad/s, m)."""
 CARRIER_MASS = 1e-12
-"""kg and kg m^2: of links that are only a frame. Readers refuse a moving link without mass, or make it a kilogram."""
+"""kg and kg m^2: mass and inertia of links that are only a frame: without mass, readers refuse a moving link or make it
+a kilogram."""
 MESHES = "meshes_urdf"
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 
@@ -30,16 +31,15 @@ class Names:
     """What the links and joints of a model are called in its URDF: unique, never empty."""
 
     links: list[str]
-    """One per body; the first is the base."""
+    """Names of the links, one per body; the first is the base."""
     joints: list[str]
     sites: list[str]
-    """Frames, written as links of no size and negligible mass."""
+    """Names of the sites, which are written as links of no size and negligible mass."""
 
 
 def urdf_names(model: mujoco.MjModel) -> Names:
-    taken_links: set[str] = set()
-    taken_joints: set[str] = set()
-    links = [_unique("base" if i == 0 else model.body(i).name or f"body_{i}", taken_links) for i in range(model.nbody)]
+    links, taken_joints = link_names(model), set[str]()
+    taken_links = set(links)
     joints = [_unique(model.joint(i).name or f"joint_{i + 1}", taken_joints) for i in range(model.njnt)]
     sites = [_unique(model.site(i).name or f"site_{i + 1}", taken_links) for i in range(model.nsite)]
     return Names(links, joints, sites)
@@ -343,6 +343,6 @@ def _row(values: np.ndarray | tuple[float, ...]) -> str:
 
 def _unique(name: str, taken: set[str]) -> str:
     """Return `name`, with a number behind it if it is taken, and take it."""
-    free = next(n for n in itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2))) if n not in taken)
+    free = free_name(name, taken)
     taken.add(free)
     return free

@@ -14,7 +14,7 @@ from morph_core.history import History
 from morph_core.protocol import Parameter
 
 COLOURS = ("#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5aa9e6", "#d0342c", "#7a828e")
-"""Told apart on white and on black; the first ones also by most colour-blind people."""
+"""Colours that are told apart on white and on black, the first ones also by most colour-blind people."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Unit:
 
     name: str
     factor: float
-    """Times the parameter's own number."""
+    """What the parameter's own number is multiplied by."""
     digits: int
 
     def number(self, value: float) -> str:
@@ -49,13 +49,13 @@ class Entry:
     """One design parameter."""
 
     index: int
-    """In phi."""
+    """Where it stands in phi."""
     part: str
-    """"finger 1"; the parameter's name where no part of the robot goes with it."""
+    """The part of the robot, such as "finger 1"; the parameter's name where none goes with it."""
     colour: str
-    """Of that part in the scene, as in CSS."""
+    """The colour of that part in the scene, as in CSS."""
     scale: float
-    """A typical change."""
+    """A typical change of the parameter."""
 
 
 @dataclass(frozen=True)
@@ -84,15 +84,15 @@ def shows_parts(parameters: Sequence[Parameter]) -> bool:
 def quantities_of(history: History) -> list[Quantity]:
     """Return the design parameters of a run by quantity, in the order of phi.
 
-    A parameter "length_2" is the length of the part whose geoms' names have the number 2.
+    A run that was recorded before parameters named their parts has them from its task.
     """
     options = json.dumps(history.record.task_options, sort_keys=True)
-    parts = _parts(history.record.task, options, tuple(history.initial_phi.tolist()))
+    known = _parts(history.record.task, options, tuple(history.initial_phi.tolist()))
     found: dict[tuple[str, Unit], list[Entry]] = {}
     for i, p in enumerate(history.design_space.parameters):
-        quantity, number = split_name(p.name)
-        part, colour = parts.get(number, (p.name.replace("_", " "), COLOURS[i % len(COLOURS)]))
-        found.setdefault((quantity, unit_of(p)), []).append(Entry(i, part, colour, p.scale))
+        part, colour = known.get(p.name, (p.part, COLOURS[i % len(COLOURS)]))
+        words = (p.part or part or p.name).replace("_", " ")
+        found.setdefault((split_name(p.name)[0], unit_of(p)), []).append(Entry(i, words, colour, p.scale))
     return [Quantity(name, unit, tuple(entries)) for (name, unit), entries in found.items()]
 
 
@@ -104,15 +104,22 @@ def split_name(name: str) -> tuple[str, str]:
 
 @functools.lru_cache(maxsize=32)
 def _parts(task: str, options: str, phi: tuple[float, ...]) -> Mapping[str, tuple[str, str]]:
-    """Return number -> (part, colour) of the robot's numbered parts; the first geom of a number names its part."""
+    """Return parameter -> (part, colour) of those whose part is to be seen; the part's first geom has its colour."""
     try:
-        model = make_task(task, json.loads(options)).spec(np.array(phi)).compile()
+        made = make_task(task, json.loads(options))
+        model = made.spec(np.array(phi)).compile()
     except (ValueError, TypeError):  # a task of another version: its run is still worth seeing
         return {}
+    names = [model.geom(i).name or model.body(int(model.geom_bodyid[i])).name for i in range(model.ngeom)]
     parts: dict[str, tuple[str, str]] = {}
-    for i in range(model.ngeom):
-        match = re.match(r"(\D*?)_(\d+)(?!\d)", model.geom(i).name)
-        if match:
-            r, g, b = 255 * model.geom_rgba[i, :3]
-            parts.setdefault(match[2], (f"{match[1]} {match[2]}", f"rgb({r:.0f}, {g:.0f}, {b:.0f})"))
+    for p in made.design_space.parameters:
+        geoms = [i for i, name in enumerate(names) if p.part and _belongs(name, p.part)]
+        if geoms:
+            r, g, b = 255 * model.geom_rgba[geoms[0], :3]
+            parts[p.name] = (p.part, f"rgb({r:.0f}, {g:.0f}, {b:.0f})")
     return parts
+
+
+def _belongs(name: str, part: str) -> bool:
+    """Tell whether a geom is of a part: "finger_1_distal" is of "finger_1", "finger_12_distal" is not."""
+    return name == part or name.startswith(f"{part}_")

@@ -1,10 +1,8 @@
 """The rules of a run in words: how it learns, the task's options, and what counts as success."""
 
-import inspect
-import re
-
-from morph_core.catalogue import TASKS, make_task, read_method
+from morph_core.catalogue import make_task, read_method
 from morph_core.history import History
+from morph_core.task import Task
 from studio.fields import fields_of
 
 
@@ -16,24 +14,18 @@ def rules_of(history: History) -> list[str]:
     except ValueError:  # a method of another version, or of a package that is not installed
         how = ""
     lines = [f"Method {record.method}: {how}." if how else f"Method {record.method}."]
-    options = options_of(record.task, record.task_options)
+    task = _task_of(history)
+    options = record.task_options
+    if task:  # all that are one of a few words, and those that the run was given
+        options = {field.name: field.default for field in fields_of(task) if field.choices} | options
     if options:
         lines.append("Options: " + ", ".join(f"{name} {value}" for name, value in options.items()) + ".")
-    rule = success_rule(record.task)
-    return [*lines, f"Success: {rule}"] if rule else lines
+    return [*lines, f"Success: {task.success_rule}"] if task and task.success_rule else lines
 
 
-def options_of(task: str, given: dict[str, object]) -> dict[str, object]:
-    """Return the options that a run was given, and all that are one of a few words."""
+def _task_of(history: History) -> Task | None:
+    """Return the task of a run; None for one of another version."""
     try:
-        made = make_task(task, given)
-    except (ValueError, TypeError):  # a task of another version
-        return given
-    return {field.name: field.default for field in fields_of(made) if field.choices} | given
-
-
-def success_rule(task: str) -> str:
-    """Return what the docstring of a task says under its heading Success; empty for a task of another version."""
-    text = inspect.getdoc(TASKS[task]) if task in TASKS else None
-    match = re.search(r"^Success: (.+?)(?=\n\n|\n[A-Z]\w*: |\Z)", text or "", re.DOTALL | re.MULTILINE)
-    return " ".join(match[1].replace("`", "").split()) if match else ""
+        return make_task(history.record.task, history.record.task_options)
+    except (ValueError, TypeError):
+        return None

@@ -11,9 +11,8 @@ import numpy as np
 from morph_core.catalogue import make_task
 from morph_core.run_folder import RunFolder, read_episode
 from morph_core.task import Task
-from studio.export.errors import ExportError
-from studio.export.meshes import stl_files
-from studio.export.parts import dress, printed_parts
+from studio.robots.chooser import robot_of
+from studio.robots.parts import dress, stl_files
 from studio.viewer.figure import Figure, smooth
 
 Corners = tuple[np.ndarray, np.ndarray]
@@ -29,7 +28,7 @@ _FIXED = ("goal", "wall", "table")
 _LINGER = 0.3
 """Seconds for which a contact stays lit."""
 _TABLE_MARGIN = 0.15
-"""How much of a table is in sight beside what stands on it, as a share of that."""
+"""How much of a table is in sight beside what stands on it, as a share of what stands on it."""
 _GHOST_THICKNESS, _TRAIL_THICKNESS, _POPULATION_THICKNESS = 0.85, 0.42, 0.2
 
 
@@ -42,11 +41,11 @@ class Shot:
     phi: tuple[float, ...]
     """The design in front."""
     episode: tuple[RunFolder, int] | None = None
-    """The episode it plays; without one it stands in the start posture."""
+    """The episode that is played; without one the robot stands in the start posture."""
     ghost: tuple[float, ...] | None = None
-    """The design that stands pale behind it."""
+    """The design that stands pale behind the one in front."""
     trail: tuple[tuple[float, ...], ...] = ()
-    """Earlier designs, paler still."""
+    """Earlier designs, which are shown paler still."""
     printed: bool = False
     """Whether the design in front shows its printed parts, or the collision shapes inside which they are."""
     population: bool = False
@@ -60,18 +59,18 @@ class Take:
     shot: Shot
     robot: Figure
     objects: Figure
-    """All else that moves."""
+    """All that moves beside the robot."""
     scenery: Figure
     """Obstacles, table and goal."""
     ghost: Figure | None
     trail: Figure | None
     population: Figure | None
     goal_touched: np.ndarray
-    """(F,) bool."""
+    """(F,) bool: the frames in which the goal is touched."""
     milestones: dict[str, np.ndarray]
-    """name -> (F,) bool."""
+    """name -> (F,) bool: the frames in which the goal is touched."""
     contact: np.ndarray
-    """(F, C, 3) m, NaN where nothing is touched."""
+    """(F, C, 3) m: where something is touched, NaN for nothing."""
     touched: np.ndarray
     """(F, n) bool: the parts of the scenery that are touched."""
     box: Corners
@@ -153,10 +152,10 @@ def make_take(shot: Shot) -> Take:
 
 def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, mujoco.MjModel]:
     """Return the scene, and the robot alone; a robot that can't be assembled shows its collision shapes."""
-    specs = [task.scene(phi), task.spec(phi)]
-    if printed:
-        with contextlib.suppress(ExportError):
-            parts = printed_parts(task, phi)
+    specs, robot = [task.scene(phi), task.spec(phi)], robot_of(task)
+    if printed and robot.printed:
+        with contextlib.suppress(ValueError):
+            parts = robot.parts(phi)
             files = stl_files(parts)
             specs = [dress(spec, parts, files) for spec in specs]
     scene, alone = (spec.compile() for spec in specs)

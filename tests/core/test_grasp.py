@@ -90,7 +90,7 @@ def test_the_bonus_is_for_pressing_with_the_pen_in_the_hand(
     on_button: set[int], on_body: set[int], height: float, button: float
 ) -> None:
     step = outcome(TASK, state(height, button), on_button, on_body)
-    pressed = bool(on_button) and button < -TASK.button_travel / 2
+    pressed = bool(on_button) and button < -TASK.travel / 2
     lifted = height - TASK.half_width > TASK.lift_height and len(on_button | on_body) >= 2
     assert step.milestones["pressed"][0] == pressed
     assert step.milestones["lifted"][0] == lifted

@@ -1,5 +1,7 @@
 """What every task must keep: a task is done when this suite passes for it."""
 
+import inspect
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -10,13 +12,51 @@ import morph_core.envs  # noqa: F401 - registers the tasks
 from morph_core.catalogue import TASKS, make_task
 from morph_core.rollout import collect
 from morph_core.task import Task
+from tests.foreign import Pointer
 
 N = 6
 
 
 @pytest.fixture(params=sorted(TASKS))
-def task(request: pytest.FixtureRequest) -> Task:
+def listed(request: pytest.FixtureRequest) -> Task:
+    """A task that has its line in `TASKS`."""
     return make_task(request.param)
+
+
+@pytest.fixture(params=[*sorted(TASKS), Pointer.name])
+def task(request: pytest.FixtureRequest) -> Task:
+    """One of those, or a small one of another package that leans on the defaults of the protocol."""
+    return Pointer() if request.param == Pointer.name else make_task(request.param)
+
+
+def test_a_task_is_listed_by_its_name(listed: Task) -> None:
+    assert listed.name in TASKS
+
+
+def test_a_task_that_lacks_a_member_says_which() -> None:
+    class Half(Pointer):
+        observe = Task.observe
+
+    with pytest.raises(TypeError, match="observe"):
+        Half()
+
+
+def test_what_a_small_task_leaves_out_has_a_default_that_suits() -> None:
+    task, phi = Pointer(), np.full((3, 2), 0.3)
+    assert (task.title, task.z_unit, task.z_scale, task.explorations) == ("pointer", "", 1.0, ("design",))
+    assert task.initial_action.tolist() == [0, 0]
+    assert task.buildable(phi).tolist() == [True] * 3
+    assert task.solved(np.array([[True, False], [False, False]])).tolist() == [True, False]
+    s, a = np.array([[0.3, -0.3]]), np.array([[0.3, 0.15]])
+    np.testing.assert_allclose(task.proxy_input(s, a), [[0.1, -0.1, 1, 0.5]], rtol=1e-6)
+
+    class Fragile(Pointer):
+        def buildable(self, phi: np.ndarray) -> np.ndarray:
+            return phi[..., 0] > 0.2
+
+    Fragile().check_buildable(np.array([0.3, 0.1]))
+    with pytest.raises(ValueError, match="pointer can't be put together"):
+        Fragile().check_buildable(np.array([0.1, 0.3]))
 
 
 def random_designs(task: Task, rng: np.random.Generator) -> np.ndarray:
@@ -25,10 +65,63 @@ def random_designs(task: Task, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_names_units_and_the_initial_design_are_there(task: Task) -> None:
-    assert task.name in TASKS
     assert task.title
     assert all(p.name and p.unit for p in task.design_space.parameters)
     task.design_space.check(task.design_space.initial)
+
+
+def test_the_docstring_and_the_rule_of_success_are_one_sentence(task: Task) -> None:
+    assert task.success_rule.endswith(".")
+    assert f"Success: {task.success_rule}" in " ".join((inspect.getdoc(type(task)) or "").split())
+
+
+def test_each_parameter_names_a_part_of_the_robot_or_none(task: Task) -> None:
+    model = task.spec(task.design_space.initial).compile()
+    names = [model.body(i).name for i in range(model.nbody)]
+    assert all(any(name.startswith(p.part) for name in names) for p in task.design_space.parameters)
+
+
+def test_every_member_explains_itself(task: Task) -> None:
+    for name, member in vars(Task).items():
+        if not name.startswith("_"):
+            assert inspect.getdoc(member if isinstance(member, property) else getattr(task, name)), name
+
+
+def test_observation_units_make_what_is_observed_dimensionless(task: Task) -> None:
+    if task.observation_units is None:
+        return
+    middle, spread = task.observation_units
+    assert middle.shape == spread.shape == (task.observation_size,)
+    assert (spread > 0).all()
+    rng = np.random.default_rng(6)
+    hw_phy = task.hw_phy(task.design_space.initial)
+    s = task.reset(hw_phy, N, rng)
+    for _ in range(5):
+        s = task.step(hw_phy, s, rng.uniform(-1, 1, (N, task.action_size))).s
+    x = middle + spread * task.observe(s)
+    seen = [np.isclose(column, s, rtol=1e-4, atol=1e-5).all(0).any() for column in x.T[..., None]]
+    assert any(seen)
+    assert np.abs(task.observe(s)).max() < 20
+
+
+def test_action_units_are_what_an_action_of_one_asks_for(task: Task) -> None:
+    if task.action_units is None:
+        return
+    rng = np.random.default_rng(7)
+    hw_phy = task.hw_phy(task.design_space.initial)
+    action = rng.uniform(-1, 1, (N, task.action_size))
+    step = task.step(hw_phy, task.reset(hw_phy, N, rng), action)
+    free = np.isclose(step.a, task.action_units * action, atol=1e-12).all(1)
+    assert free.any(), "contact may cut actions short, but not all of them at the start"
+
+
+def test_hardware_from_the_scene_is_the_hardware_of_its_design(task: Task) -> None:
+    rng = np.random.default_rng(8)
+    phi = task.design_space.initial
+    hw_phy, reloaded = task.hw_phy(phi), task.hw_phy_from(task.scene(phi), phi)
+    s = task.reset(hw_phy, N, rng)
+    step = task.step(hw_phy, s, rng.uniform(-1, 1, (N, task.action_size)))
+    np.testing.assert_allclose(reloaded(s, step.a), step.z, rtol=0, atol=1e-9)
 
 
 def test_shapes_are_as_declared(task: Task) -> None:
@@ -115,17 +208,17 @@ def test_robot_and_scene_compile_at_every_corner_of_the_box(task: Task) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space.*infinity")
-def test_gymnasium_accepts_the_environment(task: Task) -> None:
-    check_env(gymnasium.make(_id(task)).unwrapped)
+def test_gymnasium_accepts_the_environment(listed: Task) -> None:
+    check_env(gymnasium.make(_id(listed)).unwrapped)
 
 
-def test_the_vector_environment_ends_and_restarts_episodes(task: Task) -> None:
-    env = gymnasium.make_vec(_id(task), num_envs=N, vectorization_mode="vector_entry_point")
+def test_the_vector_environment_ends_and_restarts_episodes(listed: Task) -> None:
+    env = gymnasium.make_vec(_id(listed), num_envs=N, vectorization_mode="vector_entry_point")
     first, _ = env.reset(seed=7)
     assert np.array_equal(first, env.reset(seed=7)[0])
     env.action_space.seed(7)
     ended = np.zeros(N, dtype=int)
-    for _ in range(2 * task.horizon + 2):
+    for _ in range(2 * listed.horizon + 2):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
         assert observation in env.observation_space
         assert not (terminated & truncated).any()
@@ -135,14 +228,14 @@ def test_the_vector_environment_ends_and_restarts_episodes(task: Task) -> None:
     assert (ended >= 2).all()
 
 
-def test_the_environment_takes_designs_and_refuses_wrong_ones(task: Task) -> None:
-    env = gymnasium.make(_id(task))
-    phi = task.design_space.hi
+def test_the_environment_takes_designs_and_refuses_wrong_ones(listed: Task) -> None:
+    env = gymnasium.make(_id(listed))
+    phi = listed.design_space.hi
     assert env.reset(options={"phi": phi})[1]["phi"].tolist() == phi.tolist()
     with pytest.raises(ValueError, match="must lie inside"):
         env.reset(options={"phi": 2 * phi + 1})
     with pytest.raises(ValueError, match="finite"):
-        env.unwrapped.step(np.full(task.action_size, np.nan))
+        env.unwrapped.step(np.full(listed.action_size, np.nan))
 
 
 def _id(task: Task) -> str:

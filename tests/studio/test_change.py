@@ -11,12 +11,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from morph_core.catalogue import TASKS, make_task
+from morph_core.design import DesignSpace
 from morph_core.history import History
 from morph_core.protocol import Parameter, SetBound
 from morph_core.run_folder import RunFolder
 from studio.viewer.change import change_table
 from studio.viewer.parts import Unit, quantities_of, split_name, unit_of
-from studio.viewer.rules import rules_of, success_rule
+from studio.viewer.rules import rules_of
 from studio.viewer.traces import _traces_of
 
 HANDS = sorted(name for name in TASKS if name != "reacher")
@@ -67,7 +68,23 @@ def test_parameters_of_a_task_that_is_gone_keep_their_names(tmp_path: Path) -> N
     history = History(make_hand_run(tmp_path, "pen_press"))
     history.record = msgspec.structs.replace(history.record, task="gone")
     placement, _ = quantities_of(history)
+    assert [entry.part for entry in placement.entries][:2] == ["finger 1", "finger 2"]
+    history.design_space = without_parts(history.design_space)
+    placement, _ = quantities_of(history)
     assert [entry.part for entry in placement.entries][:2] == ["placement 1", "placement 2"]
+
+
+@pytest.mark.parametrize("task", sorted(TASKS))
+def test_a_run_from_before_parameters_named_their_parts_looks_like_one_of_today(tmp_path: Path, task: str) -> None:
+    history = History(make_run(tmp_path) if task == "reacher" else make_hand_run(tmp_path, task))
+    today = quantities_of(history)
+    assert all(p.part for p in history.design_space.parameters)
+    history.design_space = without_parts(history.design_space)
+    assert quantities_of(history) == today
+
+
+def without_parts(space: DesignSpace) -> DesignSpace:
+    return DesignSpace(tuple(msgspec.structs.replace(p, part="") for p in space.parameters))
 
 
 @pytest.mark.parametrize(("name", "parts"), [("length_12", ("length", "12")), ("stiffness", ("stiffness", ""))])
@@ -146,11 +163,11 @@ def test_the_method_is_named_with_the_rules_that_it_uses(folder: RunFolder, tmp_
 
 
 @pytest.mark.parametrize("task", sorted(TASKS))
-def test_every_task_says_what_counts_as_success(task: str) -> None:
-    rule = success_rule(task)
-    assert rule.endswith(".")
-    assert "\n" not in rule
-    assert "Randomised" not in rule
+def test_a_run_says_what_counts_as_success(tmp_path: Path, task: str) -> None:
+    history = History(make_run(tmp_path) if task == "reacher" else make_hand_run(tmp_path, task))
+    assert rules_of(history)[-1] == f"Success: {make_task(task).success_rule}"
+    history.record = msgspec.structs.replace(history.record, task="gone")
+    assert not any(line.startswith("Success") for line in rules_of(history))
 
 
 def test_success_has_its_milestones_and_each_unit_of_phi_its_own_chart(page: Page, folder: RunFolder) -> None:

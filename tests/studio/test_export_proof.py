@@ -25,15 +25,16 @@ from safetensors.numpy import save_file
 from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
 from morph_core.task import Task
-from morph_core.tasks.grasp import GraspTask
 from studio.export.archive import unzipped, zipped
-from studio.export.bundle import FORMATS, Bundle, build_bundle, robot_files
+from studio.export.bundle import FORMATS, Bundle, build_bundle, parts_of_design, robot_files
 from studio.export.design_file import Design, PartEntry, phi_for, read_design, starting_from
 from studio.export.errors import ExportError
-from studio.export.meshes import stl
-from studio.export.parts import printed_parts
-from studio.export.policy import Policy, Score, _observation_units
+from studio.export.meshes import three_mf
+from studio.export.policy import Policy, Score
 from studio.export.proof import prove, prove_robot, unpack
+from studio.robots.chooser import robot_of
+from studio.robots.parts import Part
+from studio.robots.stl import stl
 
 NAME = "<b>run \N{SNOWMAN} .." + "x" * 120
 
@@ -44,7 +45,7 @@ def random_design(task: Task, rng: np.random.Generator) -> np.ndarray:
     while True:
         phi = rng.uniform(space.lo, space.hi)
         phi = np.where(rng.random(len(phi)) < 0.3, rng.choice([space.lo, space.hi]), phi)
-        if not isinstance(task, GraspTask) or not task.hand.interpenetrates(phi):
+        if task.buildable(phi):
             return phi
 
 
@@ -56,26 +57,27 @@ def corners(task: Task) -> list[np.ndarray]:
 
 def faults_of(task: Task, phi: np.ndarray) -> list[str]:
     """Return where the files of a design differ from the robot that is simulated, whoever reads them."""
-    parts = printed_parts(task, phi)
-    files = robot_files(task, phi, parts, "hand", FORMATS)
+    parts, robot = robot_of(task).parts(phi), robot_of(task).file_name
+    files = robot_files(task, phi, parts, FORMATS)
     design = Design(
-        task=task.name, task_options={}, robot="hand", run="", design="", iteration=0, parameters=[],
+        task=task.name, task_options={}, robot=robot, run="", design="", iteration=0, parameters=[],
         parts=[PartEntry(part.name, list(part.links), part.inertial.mass) for part in parts],
     )  # fmt: skip
     faults = [str(check) for check in prove_robot(files, design, task, phi) if not check.passed]
     model = task.spec(phi).compile()
     with tempfile.TemporaryDirectory() as folder:
         unpack(files, Path(folder))
-        return faults + faults_in_pinocchio(Path(folder), model) + faults_in_pybullet(Path(folder), model)
+        urdf = Path(folder) / f"{robot}.urdf"
+        return faults + faults_in_pinocchio(urdf, model) + faults_in_pybullet(urdf, model)
 
 
-def faults_in_pinocchio(folder: Path, model: mujoco.MjModel) -> list[str]:
+def faults_in_pinocchio(urdf: Path, model: mujoco.MjModel) -> list[str]:
     """Compare the URDF as pinocchio reads it: masses, limits, and places in random postures."""
     if not (pinocchio := optional("pinocchio")):
         return []
-    robot = pinocchio.buildModelFromUrdf(str(folder / "hand.urdf"))
+    robot = pinocchio.buildModelFromUrdf(str(urdf))
     for kind in (pinocchio.GeometryType.VISUAL, pinocchio.GeometryType.COLLISION):
-        pinocchio.buildGeomFromUrdf(robot, str(folder / "hand.urdf"), kind, pinocchio.GeometryModel(), str(folder))
+        pinocchio.buildGeomFromUrdf(robot, str(urdf), kind, pinocchio.GeometryModel(), str(urdf.parent))
     data, state, rng = robot.createData(), mujoco.MjData(model), np.random.default_rng(1)
     faults = []
     if abs(pinocchio.computeTotalMass(robot) / model.body_mass.sum() - 1) > 1e-9:
@@ -100,14 +102,14 @@ def faults_in_pinocchio(folder: Path, model: mujoco.MjModel) -> list[str]:
     return faults
 
 
-def faults_in_pybullet(folder: Path, model: mujoco.MjModel) -> list[str]:
+def faults_in_pybullet(urdf: Path, model: mujoco.MjModel) -> list[str]:
     """Compare the URDF as pybullet reads it, which keeps limits and masses but moves in single precision."""
     if not (pybullet := optional("pybullet")):
         return []
     client = pybullet.connect(pybullet.DIRECT)
     faults = []
     try:
-        robot = pybullet.loadURDF(str(folder / "hand.urdf"), useFixedBase=True, physicsClientId=client)
+        robot = pybullet.loadURDF(str(urdf), useFixedBase=True, physicsClientId=client)
         if robot < 0:
             return ["pybullet: can't load it"]
         for joint in range(pybullet.getNumJoints(robot, client)):
@@ -160,7 +162,7 @@ def test_a_hand_with_pockets_for_servos_is_one_robot_too() -> None:
     assert plain.buildable(phi)
     assert not task.buildable(phi)
     with pytest.raises(ExportError, match=r"fingers 1 and 2 stand 38\.7 mm apart on the palm, 44\.5 mm are needed"):
-        printed_parts(task, phi)
+        parts_of_design(robot_of(task), phi)
 
 
 def test_a_hand_that_cannot_be_assembled_is_refused_with_the_reason() -> None:
@@ -168,12 +170,12 @@ def test_a_hand_that_cannot_be_assembled_is_refused_with_the_reason() -> None:
     phi = task.design_space.initial
     phi[1] = -np.pi / 2 + 0.1  # finger 2 beside finger 1
     with pytest.raises(ExportError, match=r"fingers 1 and 2 stand 6 mm apart on the palm, 30 mm are needed"):
-        printed_parts(task, phi)
+        parts_of_design(robot_of(task), phi)
 
 
 def test_equal_links_are_one_part_with_a_quantity() -> None:
     task = make_task("pen_press")
-    parts = {part.name: part for part in printed_parts(task, task.design_space.initial)}
+    parts = {part.name: part for part in robot_of(task).parts(task.design_space.initial)}
     assert set(parts) == {"palm", "finger_1_proximal", "finger_1_distal"}
     assert parts["finger_1_distal"].links == tuple(f"finger_{i}_distal" for i in range(1, 5))
 
@@ -253,8 +255,8 @@ def test_the_policy_runs_with_numpy_and_mujoco_alone(bundle: Bundle, tmp_path: P
 
 def test_the_exported_observation_is_the_tasks_own() -> None:
     task = make_task("pen_press")
-    assert isinstance(task, GraspTask)
-    middle, spread = _observation_units(task)
+    assert task.observation_units is not None
+    middle, spread = task.observation_units
     rng = np.random.default_rng(0)
     s = task.reset(task.hw_phy(task.design_space.initial), 20, rng)
     s += 0.1 * np.abs(rng.standard_normal(s.shape))
@@ -298,7 +300,34 @@ def replaced(before: str, after: str) -> Callable[[bytes], bytes]:
     return replace
 
 
+def in_inches(content: bytes) -> bytes:
+    files = unzipped(content)
+    return zipped(files | {"3D/3dmodel.model": replaced("millimeter", "inch")(files["3D/3dmodel.model"])})
+
+
+def without_a_copy(content: bytes) -> bytes:
+    files = unzipped(content)
+    text = files["3D/3dmodel.model"].decode()
+    copy = text[text.index("<item ") : text.index("/>", text.index("<item ")) + 2]
+    return zipped(files | {"3D/3dmodel.model": text.replace(copy, "", 1).encode()})
+
+
+def with_a_second_object(_: bytes) -> bytes:
+    cube = trimesh.creation.box((10, 10, 10))
+    files = unzipped(three_mf(Part("palm", ("palm",), np.asarray(cube.vertices), np.asarray(cube.faces))))
+    text = files["3D/3dmodel.model"].decode()
+    thing = text[text.index("<object ") : text.index("</object>") + len("</object>")]
+    text = text.replace(thing, thing + thing.replace('id="1"', 'id="2"')).replace(
+        "<build>", '<build><item objectid="2"/>'
+    )
+    return zipped(files | {"3D/3dmodel.model": text.encode()})
+
+
 BREAKS = [
+    ("3mf/palm.3mf", in_inches, "3mf/palm.3mf: quantity, name and unit"),
+    ("3mf/finger_2_distal.3mf", without_a_copy, "3mf/finger_2_distal.3mf: quantity"),
+    ("3mf/palm.3mf", with_a_second_object, "part palm"),
+    ("3mf/palm.3mf", lambda content: content[:400], "part palm"),
     ("parts/palm.stl", holed, "parts/palm.stl: watertight"),
     ("parts/finger_1_distal.stl", larger, "parts/finger_1_distal.stl: mass"),
     ("parts/finger_1_distal.stl", doubled, "one body"),
@@ -343,7 +372,7 @@ def test_verify_prints_a_table_and_fails_for_a_part_broken_on_purpose(bundle: Bu
 
 def test_an_export_with_a_broken_part_is_not_offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     history = History(make_hand_run(tmp_path, "pen_press"))
-    monkeypatch.setattr("studio.export.meshes.stl", lambda v, f, title: holed(stl(v, f, title)))
+    monkeypatch.setattr("studio.robots.parts.stl", lambda v, f, title: holed(stl(v, f, title)))
     with pytest.raises(ExportError, match="watertight, a volume, one body: DISAGREES"):
         build_bundle(history, "best")
 

@@ -1,6 +1,8 @@
 """The printable parts: whole for every length, free to move, inside the collision shapes, as heavy as the core says."""
 
+import json
 import math
+from collections.abc import Iterable
 from typing import get_args
 
 import numpy as np
@@ -10,19 +12,30 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from manifold3d import Manifold
 
-from morph_core.tasks import hand, reacher
-from morph_core.tasks.printed import DENSITY, INFILL, Inertial, Servo, arm_link_inertial, link_inertial, palm_inertial
-from studio.geometry import SIZES, Kind, arm_base, arm_link, link, mesh, moments, palm, pocket
+from morph_core.tasks import arm, hand
+from morph_core.tasks.printed import (
+    DENSITY,
+    FILE,
+    Inertial,
+    LinkKind,
+    Servo,
+    arm_link_inertial,
+    link_inertial,
+    palm_inertial,
+)
+from studio.robots.geometry import SIZES, arm_base, arm_link, link, mesh, moments, palm, pocket
+from studio.robots.geometry import measured as measured_parts
 
 LENGTHS = st.one_of(st.sampled_from([0.02, 0.4]), st.floats(*hand.LENGTH_BOX))  # m
-KINDS: tuple[Kind, ...] = ("proximal", "distal")
+MG90S_FLANGE = (32.6, 12.4)  # mm, along and across: what the servo covers of the palm's top
+KINDS: tuple[LinkKind, ...] = ("proximal", "distal")
 
 
 def measured(part: Manifold) -> Inertial:
     """Return a part's mass properties as trimesh sees them."""
     solid = trimesh.Trimesh(*mesh(part), process=False)
     solid.apply_scale(1e-3)
-    solid.density = DENSITY * INFILL
+    solid.density = DENSITY
     return Inertial(float(solid.mass), np.asarray(solid.center_mass), np.asarray(solid.moment_inertia))
 
 
@@ -32,12 +45,24 @@ def agree(one: Inertial, other: Inertial) -> None:
     np.testing.assert_allclose(one.inertia, other.inertia, rtol=0, atol=1e-9 * np.abs(other.inertia).max())
 
 
+def test_the_core_knows_the_parts_as_they_are_drawn_today() -> None:
+    """If not: `python -m studio.robots.geometry`."""
+
+    def numbers(node: object) -> list[float]:
+        children = node.values() if isinstance(node, dict) else node
+        return [x for child in children for x in numbers(child)] if isinstance(children, Iterable) else [node]
+
+    drawn, known = measured_parts(), json.loads(FILE.read_text())
+    assert list(drawn) == list(known)
+    np.testing.assert_allclose(numbers(known), numbers(drawn), rtol=1e-9)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @given(length=LENGTHS)
 @example(length=0.02)
 @example(length=0.12)
 @example(length=0.4)
-def test_a_link_of_any_length_is_one_watertight_body_as_heavy_as_simulated(kind: Kind, length: float) -> None:
+def test_a_link_of_any_length_is_one_watertight_body_as_heavy_as_simulated(kind: LinkKind, length: float) -> None:
     part = link(kind, 1e3 * length)
     solid = trimesh.Trimesh(*mesh(part), process=False)
     assert solid.is_watertight
@@ -65,7 +90,7 @@ def test_a_palm_is_one_watertight_body_as_heavy_as_simulated(servo: Servo, angle
 
 
 def test_servos_of_neighbours_stand_beside_each_other_and_beside_the_flange_that_holds_the_palm() -> None:
-    (along, across), radius = SIZES.servo_flange, SIZES.servo_radius
+    (along, across), radius = MG90S_FLANGE, SIZES.servo_radius
     flange = Manifold.cube((across, along, 20.0)).translate((radius - across / 2, -along / 2, SIZES.palm_high))
     angle = 2 * math.degrees(math.asin(hand.SPACING["mg90s"] / 2 / hand.PALM_RADIUS))
     assert (flange ^ flange.rotate((0, 0, angle))).volume() == 0
@@ -80,19 +105,19 @@ def test_servos_of_neighbours_stand_beside_each_other_and_beside_the_flange_that
 @given(length=st.floats(0.05, 5.0))
 @example(length=0.05)
 @example(length=5.0)
-def test_the_arms_links_lie_along_x_inside_their_capsules_as_heavy_as_simulated(kind: Kind, length: float) -> None:
+def test_the_arms_links_lie_along_x_inside_their_capsules_as_heavy_as_simulated(kind: LinkKind, length: float) -> None:
     part = arm_link(kind, 1e3 * length)
     vertices, _ = mesh(part)
     along = np.clip(vertices[:, 0], 0.0, 1e3 * length)
     away = np.linalg.norm(vertices - np.stack([along, 0 * along, 0 * along], 1), axis=1)
-    assert away.max() <= 1e3 * reacher.LINK_RADIUS
+    assert away.max() <= 1e3 * arm.LINK_RADIUS
     agree(arm_link_inertial(kind, length), measured(part))
 
 
 def test_the_arm_turns_on_its_foot_which_its_collision_shape_encloses() -> None:
     vertices, _ = mesh(arm_base())
-    assert np.hypot(vertices[:, 0], vertices[:, 1]).max() <= 2e3 * reacher.LINK_RADIUS
-    assert np.abs(vertices[:, 2]).max() <= 1e3 * reacher.LINK_RADIUS
+    assert np.hypot(vertices[:, 0], vertices[:, 1]).max() <= 2e3 * arm.LINK_RADIUS
+    assert np.abs(vertices[:, 2]).max() <= 1e3 * arm.LINK_RADIUS
     assert (arm_base() ^ arm_link("proximal", 50.0)).volume() == 0
 
 
@@ -110,7 +135,7 @@ def test_a_finger_moves_through_its_whole_range_without_its_parts_touching() -> 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("length", [20.0, 400.0])
-def test_the_collision_capsule_encloses_a_link(kind: Kind, length: float) -> None:
+def test_the_collision_capsule_encloses_a_link(kind: LinkKind, length: float) -> None:
     vertices, _ = mesh(link(kind, length))
     along = np.clip(vertices[:, 2], -length, 0.0)
     away = np.linalg.norm(vertices - np.stack([0 * along, 0 * along, along], 1), axis=1)

@@ -18,7 +18,8 @@ mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
 def act(q: np.ndarray, tip: np.ndarray) -> np.ndarray:
     """Return the change of each joint angle: the mean of the policy."""
     heading = np.cumsum(q)
-    x = np.concatenate([np.sin(heading), np.cos(heading), q / 3, tip / 5]).astype(np.float32)
+    seen = np.concatenate([np.sin(heading), np.cos(heading), q, tip])
+    x = ((seen - policy["middle"]) / policy["spread"]).astype(np.float32)
     for i in range(3):
         x = policy[f"weight_{i}"] @ x + policy[f"bias_{i}"]
         x = np.tanh(x) if i < 2 else x

@@ -4,92 +4,94 @@ A link hangs from its joint along -z and turns about y. Only its prismatic shaft
 mass properties are the polynomials of `morph_core.tasks.printed`, and the shortest link is one body like the longest.
 """
 
+import json
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
-from morph_core.tasks.printed import ARM_SCALE, LAID, LinkMoments, Moments, Servo
-
-Kind = Literal["proximal", "distal"]
-"""A proximal link ends in a clevis, a distal one in a fingertip."""
+from morph_core.tasks.printed import ARM_SCALE, FILE, LAID, LinkKind, LinkMoments, Moments, Servo
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """mm, unless it says otherwise. The shortest link leaves little room: the tests tell when a change needs more."""
+    """mm, unless a field says otherwise. The shortest link has little room: the tests tell when a change needs more."""
 
     wall: float = 4.0
-    """Of material round a pin's bore."""
+    """Thickness of the material round a pin's bore."""
     pin_diameter: float = 4.0
-    """A dowel pin, pressed into the lugs."""
+    """Diameter of a dowel pin, which is pressed into the lugs."""
     pin_play: float = 0.2
-    """By which the bore of the tang is wider than the pin."""
+    """How much wider the bore of the tang is than the pin."""
     tang: float = 8.0
     """Thickness of the tang, along the pin."""
     side_play: float = 0.3
-    """Between the tang and each lug."""
+    """Distance between the tang and each lug."""
     gap: float = 0.5
-    """Between a lug's round and the shoulder that turns round it."""
+    """Distance between a lug's round and the shoulder that turns round it."""
     half_width: float = 11.0
-    """Of links and mounts, along the pin."""
+    """Half the width of links and mounts, along the pin."""
     half_depth: float = 6.0
-    """Of the shaft."""
+    """Half the depth of a link's shaft, across the pin."""
     corner: float = 3.0
     """Radius of the shaft's edges."""
     chamfer: float = 1.0
-    """Of a shoulder."""
+    """Width of a shoulder's chamfer."""
     fold: float = 2.2
     """rad: how far a distal link can be folded against its proximal one, either way."""
     overlap: float = 0.4
-    """By which pieces reach into each other, to become one body."""
+    """How far pieces reach into each other, to become one body."""
     tip_start: float = 7.4
     """How far before the end of the link the fingertip begins to taper."""
     tip_reach: float = 14.5
-    """How far it reaches beyond that end."""
+    """How far the fingertip reaches beyond the end of the link."""
     tip_radii: tuple[float, float, float] = (5.0, 8.5, 6.0)
-    """Of its round end: depth, width, length."""
+    """Radii of the fingertip's round end: depth, width, length."""
     segments: int = 48
-    """Of a circle."""
+    """Facets round a pin, a bore or a fingertip (a count)."""
     palm_radius: float = 59.5
+    """Radius of the palm."""
     palm_low: float = 8.0
     """Height of the palm's underside above the pins of the fingers, which turn below it."""
     palm_high: float = 27.0
+    """Height of the palm's top above the pins of the fingers."""
     palm_chamfer: float = 2.0
+    """Width of the chamfer of the palm's edges."""
     palm_segments: int = 120
+    """Facets round the palm (a count)."""
     mount_radius: float = 60.0
     """Distance of the fingers' pins from the palm's axis."""
     mount_root: tuple[float, float] = (44.0, 54.0)
     """Where a mount meets the palm: distances from the palm's axis."""
     bolt_circle: float = 50.0
-    """Diameter. With four M6 bolts it fits the flange ISO 9409-1-50-4-M6."""
+    """Diameter of the circle on which the bolts are: with four M6 bolts it fits the flange ISO 9409-1-50-4-M6."""
     bolt_diameter: float = 6.6
+    """Diameter of the holes for the bolts."""
     bolt_head: tuple[float, float] = (11.0, 7.0)
-    """Diameter and depth of the counterbores."""
+    """Diameter and depth of the counterbores for the bolts' heads."""
     cable_hole: float = 20.0
-    """Diameter, in the middle of the palm."""
+    """Diameter of the hole in the middle of the palm."""
     servo_pocket: tuple[float, float, float] = (23.2, 12.6, 16.5)
-    """Of an MG90S below its flange, and room: along the flange, across it, and deep."""
+    """Size of a pocket for an MG90S below its flange, with room: along the flange, across it, and deep."""
     servo_radius: float = 48.3
     """Distance of a pocket's middle from the palm's axis: outside the flange on which the palm is bolted."""
-    servo_flange: tuple[float, float] = (32.6, 12.4)
-    """Along and across: what the servo covers of the palm's top."""
     servo_screws: tuple[float, float, float] = (27.8, 1.7, 8.0)
-    """Distance, diameter and depth of the pilot holes of its two screws."""
+    """Distance, diameter and depth of the pilot holes of a servo's two screws."""
     tendon_hole: tuple[float, float] = (39.0, 2.0)
-    """Distance from the palm's axis, and diameter: the way from a servo to the inner side of its finger."""
+    """Distance from the palm's axis and diameter of the hole from a servo to the inner side of its finger."""
     foot_radius: float = 47.5
-    """Of the reacher's foot, before it is enlarged like its links."""
+    """Radius of the arm's foot, before it is enlarged like the links."""
     foot_high: float = -12.0
-    """Top of the foot's disc below the axis of the arm."""
+    """Height of the top of the foot's disc above the axis of the arm, before it is enlarged."""
     foot_low: float = -24.0
+    """Height of the foot's underside above the axis of the arm, before it is enlarged."""
 
     @property
     def joint_radius(self) -> float:
-        """Of tang and lugs round the pin."""
+        """Radius of tang and lugs round the pin."""
         return self.pin_diameter / 2 + self.wall
 
     @property
@@ -112,11 +114,11 @@ class Sizes:
 
 SIZES = Sizes()
 _LINKS = 16
-"""Are kept, enough for one design: a studio that watches for hours must not grow with each."""
+"""Size of the link caches: one design's worth. A larger cache grew a long-watched studio."""
 
 
 @lru_cache(_LINKS)
-def link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
+def link(kind: LinkKind, length: float, sizes: Sizes = SIZES) -> Manifold:
     """Return a link of `length` mm in the frame of its joint."""
     if kind == "proximal":
         neck = sizes.half_depth - sizes.chamfer
@@ -185,14 +187,14 @@ def pocket(sizes: Sizes = SIZES) -> Manifold:
 
 
 @lru_cache(_LINKS)
-def arm_link(kind: Kind, length: float, sizes: Sizes = SIZES) -> Manifold:
-    """Return a link of the reacher of `length` mm, which lies along x and turns about z: a finger's, enlarged."""
+def arm_link(kind: LinkKind, length: float, sizes: Sizes = SIZES) -> Manifold:
+    """Return a link of the arm of `length` mm, which lies along x and turns about z: a finger's, enlarged."""
     return link(kind, length / ARM_SCALE, sizes).transform(np.column_stack([ARM_SCALE * LAID, np.zeros(3)]))
 
 
 @lru_cache(2)
 def arm_base(sizes: Sizes = SIZES) -> Manifold:
-    """Return the reacher's foot: a disc and a boss, on which the first link turns round its pin."""
+    """Return the arm's foot: a disc and a boss, on which the first link turns round its pin."""
     bore, top = sizes.pin_diameter / 2, -sizes.tang / 2 - sizes.side_play
     outline = [
         (bore, sizes.foot_low), (sizes.foot_radius, sizes.foot_low), (sizes.foot_radius, sizes.foot_high),
@@ -292,7 +294,7 @@ def moments(vertices: np.ndarray, faces: np.ndarray) -> Moments:
     return Moments(float(volumes.sum()), volumes @ sums / 4, np.einsum("f,fij->ij", volumes, squares) / 20)
 
 
-def measured_link(kind: Kind, sizes: Sizes = SIZES) -> LinkMoments:
+def measured_link(kind: LinkKind, sizes: Sizes = SIZES) -> LinkMoments:
     """Return the polynomials through four drawn links."""
     lengths = np.array([0.02, 0.1, 0.25, 0.4])  # m
     drawn = [moments(*mesh(link(kind, 1e3 * length, sizes))).scaled(1e-3) for length in lengths]
@@ -309,21 +311,17 @@ def measured_link(kind: Kind, sizes: Sizes = SIZES) -> LinkMoments:
     )
 
 
-def _constants() -> str:
-    """Return the constants of `morph_core.tasks.printed`, as Python."""
-    lines = ["LINKS = {"]
-    for kind in ("proximal", "distal"):
-        fields = (f"        {name}={value!r}," for name, value in vars(measured_link(kind)).items())
-        lines += [f'    "{kind}": LinkMoments(', *fields, "    ),"]
-    lines.append("}")
-    for name, part in (("PLATE", plate()), ("MOUNT", mount(SIZES, overlap=0.0)), ("POCKET", pocket())):
+def measured() -> dict[str, object]:
+    """Return what `morph_core.tasks.printed` knows of the parts as they are drawn here, in metres."""
+    drawn: dict[str, object] = {"links": {kind: vars(measured_link(kind)) for kind in get_args(LinkKind)}}
+    for name, part in (("plate", plate()), ("mount", mount(SIZES, overlap=0.0)), ("pocket", pocket())):
         m = moments(*mesh(part)).scaled(1e-3)
         # All are symmetric about y = 0, the palm's plate in every direction round its axis.
-        first = [0.0 if name == "PLATE" else float(m.first[0]), 0.0, float(m.first[2])]
+        first = [0.0 if name == "plate" else float(m.first[0]), 0.0, float(m.first[2])]
         second = np.where(np.abs(m.second) > 1e-9 * np.abs(m.second).max(), m.second, 0.0).tolist()
-        lines += [f"{name} = Moments({m.volume!r},", f"    np.array({first}),", f"    np.array({second}),", ")"]
-    return "\n".join(lines)
+        drawn[name] = {"volume": m.volume, "first": first, "second": second}
+    return drawn
 
 
 if __name__ == "__main__":
-    print(_constants())  # noqa: T201
+    FILE.write_text(json.dumps(measured(), indent=1) + "\n")

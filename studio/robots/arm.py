@@ -1,0 +1,40 @@
+"""The arm as a thing: its foot and links, and a program that moves its joints in MuJoCo's kinematics."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from morph_core.task import Task
+from morph_core.tasks.printed import ARM_SCALE
+from studio.robots import bolted, geometry
+from studio.robots.parts import BASE, MILLIMETRE, Part, parts_of
+from studio.robots.robot import Bought, Program
+from studio.robots.units import units_of
+
+
+@dataclass(frozen=True)
+class ArmRobot:
+    """Foot and links of a task that moves an `Arm`."""
+
+    task: Task
+
+    file_name = "robot"
+    printed = True
+    has_parts = True
+    about_parts = bolted.ABOUT_PARTS
+
+    def parts(self, phi: np.ndarray) -> list[Part]:
+        self.task.check_buildable(phi)
+        last = len(phi)
+        links = {
+            f"link_{i}": geometry.arm_link("distal" if i == last else "proximal", float(length) / MILLIMETRE)
+            for i, length in enumerate(phi, start=1)
+        }
+        return parts_of({BASE: geometry.arm_base()} | links)
+
+    def bought(self, parts: Sequence[Part]) -> list[Bought]:
+        return [bolted.pins(parts, ARM_SCALE), bolted.drives(parts)]
+
+    def program(self, phi: np.ndarray) -> Program:
+        return Program("run_arm.py", units_of(self.task))

@@ -1,0 +1,31 @@
+"""What hand and arm share: links of PLA that turn round dowel pins, driven from outside."""
+
+from collections.abc import Sequence
+
+from morph_core.tasks.printed import DENSITY
+from studio.robots.geometry import SIZES
+from studio.robots.parts import Part
+from studio.robots.robot import Bought
+
+ABOUT_PARTS = f"""<p>PLA ({DENSITY:g} kg/m&sup3;), infill 100%, lying on the widest side. Pin bores: \
+{SIZES.pin_diameter:g} mm,
+pressed in the lugs, {SIZES.pin_play:g} mm play in the tang; {SIZES.side_play:g} mm between tang and lug. The links
+hold no motor, and pins and bolts are not in the masses: BOM.csv."""
+
+
+def joints_of(parts: Sequence[Part]) -> int:
+    """Return how many links turn round a pin: all but the one that carries the others."""
+    return sum(part.quantity for part in parts) - 1
+
+
+def pins(parts: Sequence[Part], scale: float = 1.0) -> Bought:
+    """Return the pins of links that are drawn `scale` times as large as a finger's."""
+    pin, length = SIZES.pin_diameter * scale, 2 * SIZES.half_width * scale
+    note = "press into the lugs; not in the masses"
+    return [f"dowel pin {pin:g} x {length:g} mm", joints_of(parts), "", "", "steel", "", "", note]
+
+
+def drives(parts: Sequence[Part]) -> Bought:
+    """Return the drives of the joints."""
+    note = "not part of the design: control.json says which torque and gains were simulated"
+    return ["servo or tendon drive", joints_of(parts), "", "", "", "", "", note]

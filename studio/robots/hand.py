@@ -1,0 +1,50 @@
+"""A hand as a thing: its palm and fingers, and a program that drives it in MuJoCo."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from morph_core.task import Task
+from morph_core.tasks.hand import Hand
+from morph_core.tasks.simulation import SUBSTEPS
+from studio.robots import bolted, geometry
+from studio.robots.parts import MILLIMETRE, Part, parts_of
+from studio.robots.robot import Bought, Program
+from studio.robots.units import units_of
+
+SERVO_MASS = 13.4  # g, of an MG90S
+
+
+@dataclass(frozen=True)
+class HandRobot:
+    """Palm and fingers of a task that moves a `Hand`."""
+
+    task: Task
+    hand: Hand
+
+    file_name = "hand"
+    printed = True
+    has_parts = True
+    about_parts = bolted.ABOUT_PARTS
+
+    def parts(self, phi: np.ndarray) -> list[Part]:
+        self.task.check_buildable(phi)
+        n, hand = self.hand.fingers, self.hand
+        solids = {"palm": geometry.palm(tuple(float(a) for a in hand.base_angles + phi[:n]), hand.servo)}
+        for i, length in enumerate(phi[n:], start=1):
+            solids[f"finger_{i}_proximal"] = geometry.link("proximal", float(length) / MILLIMETRE)
+            solids[f"finger_{i}_distal"] = geometry.link("distal", float(length) / MILLIMETRE)
+        return parts_of(solids)
+
+    def bought(self, parts: Sequence[Part]) -> list[Bought]:
+        bolts = ["bolt M6 x 20", 4, "palm", "", "steel", "", "", "flange ISO 9409-1-50-4-M6; not in the masses"]
+        servos = [
+            f"servo {self.hand.servo.upper()}", self.hand.fingers, "palm", "", "", SERVO_MASS, "",
+            "screw into its pocket; its tendon runs down through the hole beside it; not in the masses; weaker "
+            "than the drives that were simulated: control.json",
+        ]  # fmt: skip
+        return [bolted.pins(parts), bolts, *[servos] * (self.hand.servo != "none"), bolted.drives(parts)]
+
+    def program(self, phi: np.ndarray) -> Program:
+        return Program("run_hand.py", {**units_of(self.task), "substeps": np.array(SUBSTEPS)})

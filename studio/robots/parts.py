@@ -1,0 +1,121 @@
+"""The parts of a design, named after the links that are made from them; and a model that shows them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from manifold3d import Manifold
+
+from morph_core.tasks.printed import DENSITY, Inertial, Moments
+from studio.robots import geometry
+from studio.robots.stl import stl
+
+STL_FOLDER = "parts"
+BASE = "base"
+"""The name of the link that stands still, as in the URDF."""
+COLLISION_GROUP, VISUAL_GROUP = 3, 2
+"""Groups of geoms: viewers show 0 to 2 unless told otherwise."""
+MILLIMETRE = 0.001  # m
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part, in the frame of its link."""
+
+    name: str
+    """The name of the part's files: that of the first link that is made from it."""
+    links: tuple[str, ...]
+    """Every link that is made from the part."""
+    vertices: np.ndarray  # (V, 3) mm
+    faces: np.ndarray  # (F, 3)
+    density: float = DENSITY
+    """kg/m^3: the density of what it is made of."""
+
+    @property
+    def quantity(self) -> int:
+        return len(self.links)
+
+    @property
+    def size(self) -> np.ndarray:
+        """(3,) mm."""
+        return np.ptp(self.vertices, axis=0)
+
+    @property
+    def moments(self) -> Moments:
+        """Integrals over the part's volume, in metres."""
+        return geometry.moments(self.vertices, self.faces).scaled(MILLIMETRE)
+
+    @property
+    def inertial(self) -> Inertial:
+        return self.moments.inertial(self.density)
+
+    @property
+    def stl_path(self) -> str:
+        return f"{STL_FOLDER}/{self.name}.stl"
+
+
+def parts_of(solids: Mapping[str, Manifold]) -> list[Part]:
+    """Return one part for each distinct solid, by the names of the links; equal ones come from the same cache."""
+    links: dict[int, list[str]] = {}
+    for name, solid in solids.items():
+        links.setdefault(id(solid), []).append(name)
+    return [Part(names[0], tuple(names), *geometry.mesh(solids[names[0]])) for names in links.values()]
+
+
+def stl_files(parts: Sequence[Part]) -> dict[str, bytes]:
+    """Return the parts' STL files by path."""
+    return {part.stl_path: stl(part.vertices, part.faces, f"{part.name}, millimetres") for part in parts}
+
+
+def link_names(model: mujoco.MjModel) -> list[str]:
+    """Return what the bodies of a model are called as links: unique, never empty; the world's is `BASE`."""
+    names: list[str] = []
+    for i in range(model.nbody):
+        name = BASE if i == 0 else model.body(i).name or f"body_{i}"
+        names.append(free_name(name, set(names)))
+    return names
+
+
+def free_name(name: str, taken: set[str]) -> str:
+    """Return `name`, with a number behind it if it is taken."""
+    number, free = 2, name
+    while free in taken:
+        free, number = f"{name}_{number}", number + 1
+    return free
+
+
+def body_of(model: mujoco.MjModel, link: str) -> int:
+    """Return the index of the body that is called `link`; ValueError lists the links if there is none."""
+    names = link_names(model)
+    if link not in names:
+        raise ValueError(f'the robot has no link "{link}"; it has: {", ".join(names)}')
+    return names.index(link)
+
+
+def colours_of(model: mujoco.MjModel, parts: Sequence[Part]) -> dict[str, np.ndarray]:
+    """Return link -> red, green, blue, opacity (4,) of its first collision shape."""
+    return {link: model.geom_rgba[model.body_geomadr[body_of(model, link)]] for part in parts for link in part.links}
+
+
+def dress(spec: mujoco.MjSpec, parts: Sequence[Part], files: Mapping[str, bytes]) -> mujoco.MjSpec:
+    """Return the robot, or a scene with it, showing its printed parts; collision shapes stay, in a group of their own.
+
+    `files` holds the parts' STL files by path.
+    """
+    spec = spec.copy()
+    # Only what is drawn: every mesh is read from the files as they are exported.
+    spec.assets = {**spec.assets, **{part.stl_path: files[part.stl_path] for part in parts}}
+    for part in parts:
+        spec.add_mesh(name=part.name, file=part.stl_path, scale=[MILLIMETRE] * 3)
+        for link in part.links:
+            body = spec.worldbody if link == BASE else spec.body(link)
+            own = [geom for geom in body.geoms if link != BASE or geom.name == BASE]
+            for geom in own:
+                geom.group = COLLISION_GROUP
+            shown = body.add_geom(
+                name=f"{link}_visual", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part.name, group=VISUAL_GROUP, mass=0,
+                rgba=own[0].rgba,
+            )  # fmt: skip
+            shown.contype = shown.conaffinity = 0
+    return spec

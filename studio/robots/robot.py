@@ -1,0 +1,70 @@
+"""What the studio knows of a kind of robot: the protocol that export and viewer are written against."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from studio.robots.parts import Part
+
+PROGRAMS = Path(__file__).parent / "programs"
+
+
+@dataclass(frozen=True)
+class Program:
+    """The program that is shipped with a policy and runs it, with numpy and mujoco alone."""
+
+    file: str
+    """The name of the program's source in `PROGRAMS`."""
+    arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """What the program reads from policy.npz beside the policy itself."""
+    command: str = "python run_policy.py"
+    about: Sequence[str] = ()
+    """What README.txt says of the program beside the command, line by line."""
+
+    @property
+    def source(self) -> bytes:
+        return (PROGRAMS / self.file).read_bytes()
+
+
+Bought = Sequence[object]
+"""A line of BOM.csv: item, quantity, links, file, material, mass of each (g), size (mm), note."""
+
+
+class Robot(Protocol):
+    """One kind of robot, for all its designs."""
+
+    @property
+    def file_name(self) -> str:
+        """How the names of the robot's files begin."""
+        ...
+
+    @property
+    def printed(self) -> bool:
+        """Whether the parts are drawn for a printer, as heavy as simulated, and shown in place of collision shapes;
+        otherwise the parts are those shapes."""
+        ...
+
+    @property
+    def has_parts(self) -> bool:
+        """Whether there is anything to make mesh files from."""
+        ...
+
+    def parts(self, phi: np.ndarray) -> list[Part]:
+        """Return the parts of a design (d,); ValueError for one that can't be put together."""
+        ...
+
+    def bought(self, parts: Sequence[Part]) -> list[Bought]:
+        """Return what is needed beside the printed parts."""
+        ...
+
+    @property
+    def about_parts(self) -> str:
+        """What report.html says below the table of parts, as HTML."""
+        ...
+
+    def program(self, phi: np.ndarray) -> Program:
+        """Return the program that runs the policy on design phi (d,)."""
+        ...
