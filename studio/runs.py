@@ -191,7 +191,7 @@ class Runs:
         """Put a command into the run's inbox and return its id; ValueError, the run unchanged, if it is no good."""
         history = self.get(run_id)
         task = make_task(history.record.task, history.record.task_options)
-        command = check_command(command, history.design_space, task)
+        command = check_command(command, history.in_force, task)
         with self._lock:
             if not self._is_alive(history):
                 raise ValueError(f"{run_id} is {self.status(history)[0]}: resume it, then send commands")
