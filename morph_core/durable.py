@@ -27,7 +27,7 @@ def write_file(path: Path, content: bytes) -> None:
 
 @contextlib.contextmanager
 def new_folder(target: Path) -> Iterator[Path]:
-    """Give a folder to be filled, which is then named `target`; OSError, nothing left behind, if one with content is there."""
+    """Give a folder to be filled, which is then named `target`; OSError if one with content is there."""
     with _draft(target) as draft:
         yield draft
         _sync_all(draft)

@@ -2,8 +2,6 @@
 
 import contextlib
 import dataclasses
-import importlib.metadata
-import platform
 import subprocess
 import time
 import typing
@@ -18,8 +16,9 @@ from morph_core.protocol import Parameter, Parent, RunRecord
 from morph_core.run_folder import RunFolder, RunFolderError, create_run, new_run_id
 from morph_core.task import check_settings
 from morph_core.tasks import make_task
+from studio import limits
+from studio.versions import versions_of
 
-MAX_ITERATIONS = 1_000_000
 _PACKAGES = ("morph-studio", "numpy", "torch", "mujoco", "cma", "viser")
 
 
@@ -44,8 +43,7 @@ def prepare_run(
         raise ValueError(f"a setting of {task} has the wrong type or size: {error}") from error
     if method not in typing.get_args(Method):
         raise ValueError(f'unknown method "{method}"; choose from: {", ".join(typing.get_args(Method))}')
-    check_whole("seed", seed, 0, 2**32 - 1)
-    check_whole("iterations", iterations, 1, MAX_ITERATIONS)
+    seed, iterations = limits.seed(seed), limits.iterations(iterations)
     space = chosen.design_space
     if parameters is not None:
         space = _edited(space, parameters)
@@ -61,7 +59,7 @@ def prepare_run(
         iterations=iterations,
         config=dataclasses.asdict(config),
         parameters=list(space.parameters),
-        versions=versions(),
+        versions=versions_of(*_PACKAGES),
         git_revision=revision,
         git_dirty=dirty,
         created=time.time(),
@@ -76,12 +74,6 @@ def prepare_run(
         number += 1
 
 
-def check_whole(name: str, value: object, lo: int, hi: int) -> None:
-    """Raise ValueError unless `value` is a whole number in [lo, hi]."""
-    if isinstance(value, bool) or not isinstance(value, int) or not lo <= value <= hi:
-        raise ValueError(f"{name} must be a whole number from {lo} to {hi}, not {value!r}")
-
-
 def _edited(space: DesignSpace, parameters: Sequence[Parameter]) -> DesignSpace:
     """Return `space` with the bounds, locks and initial values of `parameters`; the rest is the task's."""
     for p in parameters:
@@ -94,15 +86,6 @@ def _edited(space: DesignSpace, parameters: Sequence[Parameter]) -> DesignSpace:
         moved = msgspec.structs.replace(space.parameters[i], initial=p.initial)
         space = DesignSpace((*space.parameters[:i], moved, *space.parameters[i + 1 :]))
     return space
-
-
-def versions() -> dict[str, str]:
-    """Return the versions a run depends on, without importing what they name."""
-    found = {"python": platform.python_version()}
-    for name in _PACKAGES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found
 
 
 def git_state() -> tuple[str | None, bool | None]:

@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import difflib
 import io
-import os
 import re
 import typing
 from collections.abc import Iterator, Sequence
@@ -14,6 +13,8 @@ from typing import Annotated, TypeVar
 
 import tyro
 
+from studio.settings import default_runs
+
 T = TypeVar("T")
 Count = Annotated[int, tyro.conf.arg(metavar="N")]
 RunName = Annotated[str, tyro.conf.arg(metavar="RUN")]
@@ -21,10 +22,6 @@ RunName = Annotated[str, tyro.conf.arg(metavar="RUN")]
 
 class UsageError(ValueError):
     """What was asked for is not possible; the message says what is."""
-
-
-def default_runs() -> Path:
-    return Path(os.environ.get("MORPH_RUNS") or "runs")
 
 
 @dataclass(frozen=True)

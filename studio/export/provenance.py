@@ -1,16 +1,15 @@
 """Where an exported design comes from: its run and configuration, what a user changed, a digest of each file."""
 
 import hashlib
-import platform
 import time
 from collections.abc import Mapping
-from importlib import metadata
 
 import msgspec
 
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, Parent
 from studio.export.policy import Score
+from studio.versions import versions_of
 
 KIND = "morph-studio export"
 
@@ -66,7 +65,7 @@ def provenance_of(
         seed=record.seed,
         config=record.config,
         versions=record.versions,
-        export_versions=_versions(),
+        export_versions=versions_of("morph-studio", "mujoco", "numpy"),
         git_revision=record.git_revision,
         git_dirty=record.git_dirty,
         parent=record.parent,
@@ -78,13 +77,3 @@ def provenance_of(
         policy=policy,
         exported=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     )
-
-
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
-    for name in ("morph-studio", "mujoco", "numpy"):
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue  # run from a checkout that is not installed
-    return versions

@@ -1,6 +1,5 @@
 """The start panel: everything a new run needs, and one button."""
 
-import math
 import typing
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,14 +10,12 @@ from morph_core.config import Method, Projection, config_from
 from morph_core.protocol import Parameter
 from morph_core.task import check_settings
 from morph_core.tasks import TASKS, make_task
+from studio import limits
 from studio.export.design_file import DESIGN_TYPES, Design, phi_for, read_design, starting_from
 from studio.fields import fields_of
 from studio.viewer import wording
 from studio.viewer.parts import shows_parts
 from studio.viewer.take import Shot
-
-_MOST_ITERATIONS = 1_000_000
-_LARGEST_SEED = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -63,10 +60,10 @@ class StartPanel:
                 "method", list(typing.get_args(Method)), hint="morph is the paper's; the others are its baselines."
             )
             self.seed = gui.add_number(
-                "seed", 0, min=0, max=_LARGEST_SEED, step=1, hint="The same seed gives the same run."
+                "seed", 0, min=0, max=limits.LARGEST_SEED, step=1, hint="The same seed gives the same run."
             )
             self.iterations = gui.add_number(
-                "iterations", config.schedule_iterations, min=1, max=_MOST_ITERATIONS, step=1
+                "iterations", config.schedule_iterations, min=1, max=limits.MAX_ITERATIONS, step=1
             )
             self.alpha = gui.add_number(
                 "α", config.alpha, min=0.0, step=0.1, hint="Weight of the divergence between proxy and Hw-Phy in Eq. 2."
@@ -139,8 +136,8 @@ class StartPanel:
         return StartRequest(
             task=name,
             method=method,
-            seed=_whole("seed", self.seed.value, 0, _LARGEST_SEED),
-            iterations=_whole("iterations", self.iterations.value, 1, _MOST_ITERATIONS),
+            seed=limits.seed(self.seed.value),
+            iterations=limits.iterations(self.iterations.value),
             settings=settings,
             task_options=self._task_options(name),
             parameters=starting_from(self._design, task.design_space) if self._design else None,
@@ -210,9 +207,3 @@ class StartPanel:
         self.alpha.value, self.projection.value = config.alpha, config.projection
         self.exploration.value, self.iterations.value = config.exploration, config.schedule_iterations
         self._on_preview()
-
-
-def _whole(name: str, value: float, lowest: int, highest: int) -> int:
-    if not math.isfinite(value) or value != int(value) or not lowest <= value <= highest:
-        raise ValueError(f"{name} must be a whole number from {lowest} to {highest}, not {value}")
-    return int(value)
