@@ -1,5 +1,6 @@
 """What a command does to box, locks, phi, alpha and projection."""
 
+import contextlib
 import math
 
 import numpy as np
@@ -42,13 +43,11 @@ def test_after_any_commands_phi_lies_in_its_box_on_its_locks_and_can_be_built(ta
     in_force = initial(task)
     for command in data.draw(st.lists(edits(task), max_size=12)):
         before = (in_force.space, in_force.phi.tolist(), in_force.alpha, in_force.projection)
-        try:
-            edit = edited(TASKS[task], in_force, command)
-        except ValueError as refusal:
-            assert len(str(refusal)) > 10
-            edit = None
+        after = in_force
+        with contextlib.suppress(ValueError):
+            after = edited(TASKS[task], in_force, command).in_force
         assert (in_force.space, in_force.phi.tolist(), in_force.alpha, in_force.projection) == before
-        in_force = edit.in_force if edit else in_force
+        in_force = after
         assert in_force.space.check(in_force.phi).tolist() == in_force.space.clip(in_force.phi).tolist()
         TASKS[task].check_buildable(in_force.phi)
         assert in_force.alpha >= 0
@@ -73,7 +72,7 @@ def test_an_edit_says_what_is_in_force() -> None:
 def test_a_design_against_a_lock_is_refused_and_one_on_it_is_taken() -> None:
     task = TASKS["reacher"]
     locked = edited(task, initial("reacher"), Lock("link_2", 1.0)).in_force
-    with pytest.raises(ValueError, match="^link_2 is locked at 1 m, not 2: unlock it first$"):
+    with pytest.raises(ValueError, match=r"^link_2 is locked at 1 m, not 2: unlock it first$"):
         edited(task, locked, InjectDesign([2.0] * 5))
     almost = edited(task, locked, InjectDesign([2.0, 1.0 + 1e-12, 2.0, 2.0, 2.0])).in_force
     assert almost.phi[1] == 1.0
