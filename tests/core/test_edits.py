@@ -66,6 +66,8 @@ def test_an_edit_says_what_is_in_force() -> None:
     ]
     assert [edited(task, before, command).message for command, _ in said] == [sentence for _, sentence in said]
     assert edited(task, before, SetBound("link_1", 1.0, 2.0)).in_force.phi.tolist() == [2.0, 3.0, 3.0, 3.0, 3.0]
+    moved = edited(task, before, InjectDesign([1.0] * 5)).in_force
+    assert edited(task, moved, Lock("link_2")).message == "link_2 is locked at 1 m"
     assert edited(task, before, Lock("link_2", 1.25)).in_force.phi.tolist() == [3.0, 1.25, 3.0, 3.0, 3.0]
 
 
