@@ -39,9 +39,9 @@ class InForce:
 
 
 class _Steered(msgspec.Struct, frozen=True):
-    """The settings of a run that commands can change; a method that does not use them records none."""
+    """The settings of a run that commands can change; a method without a proxy may record none."""
 
-    alpha: float = 1.0
+    alpha: float = 0.0
     projection: Projection = "none"
 
 

@@ -192,9 +192,10 @@ def test_a_resume_voids_what_came_after_its_checkpoint(tmp_path: Path, kept: boo
     assert [c.command for c in history.commands()] == ([SetBound("link_1", 1.0, 2.0), SetAlpha(4.0)] if kept else [])
 
 
-def test_a_record_from_elsewhere_without_numbers_to_steer_by_shows_defaults(tmp_path: Path) -> None:
+@pytest.mark.parametrize("written", ['"beta": 1.0', '"alpha": "much"', '"alpha": null', '"alpha": [1.0]'])
+def test_a_record_without_a_number_to_steer_by_steers_nothing(tmp_path: Path, written: str) -> None:
     folder = make_run(tmp_path)
     path = folder.path / "run.json"
-    path.write_text(path.read_text().replace('"alpha": 1.0', '"alpha": "much"'))
-    assert History(folder).in_force.alpha == 1.0
+    path.write_text(path.read_text().replace('"alpha": 1.0', written))
+    assert History(folder).in_force.alpha == 0.0
     assert np.array_equal(History(folder).in_force.phi, SPACE.initial)
