@@ -1,9 +1,6 @@
 """Checkpoints: the whole State as safetensors and JSON, there whole or not at all."""
 
 import json
-import os
-import shutil
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -12,6 +9,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from morph_core import durable
 from morph_core.design import DesignSpace
 from morph_core.method import Method
 from morph_core.protocol import Parameter
@@ -22,11 +20,7 @@ from morph_core.task import Task
 
 def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None:
     """Write checkpoints/<iteration>/; an earlier one of the same iteration stays until the new one is whole."""
-    target = folder.checkpoint(state.iteration)
-    draft, old = _draft(target), _old(target)
-    shutil.rmtree(draft, ignore_errors=True)
-    draft.mkdir(parents=True)
-    try:
+    with durable.replaced_folder(folder.checkpoint(state.iteration)) as draft:
         save_file(_tensors(state), draft / "weights.safetensors")
         facts = {
             "iteration": state.iteration,
@@ -45,28 +39,12 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
             "cpu_seconds": cpu_seconds,
         }
         (draft / "state.json").write_text(json.dumps(facts))
-        for path in (*draft.iterdir(), draft):
-            _sync(path)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
-    if target.exists():
-        target.rename(old)
-    draft.rename(target)
-    _sync(target.parent)
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def recover_checkpoints(folder: RunFolder) -> None:
     """Tidy up after a trainer that died while saving: an old checkpoint moved aside comes back, drafts go."""
-    if not folder.checkpoints.is_dir():
-        return
-    for path in folder.checkpoints.glob(".*"):
-        target = folder.checkpoints / path.name.strip(".").partition(".")[0]
-        if path == _old(target) and not target.exists():
-            path.rename(target)
-        else:
-            shutil.rmtree(path, ignore_errors=True)
+    if folder.checkpoints.is_dir():
+        durable.recover(folder.checkpoints)
 
 
 def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Method) -> tuple[State, float]:
@@ -128,19 +106,3 @@ def all_finite(state: State) -> bool:
     """Tell whether phi and every weight are finite."""
     weights = (p for module in state.modules.values() for p in module.parameters())
     return bool(np.isfinite(state.phi).all()) and all(bool(torch.isfinite(p).all()) for p in weights)
-
-
-def _draft(target: Path) -> Path:
-    return target.with_name(f".{target.name}.draft")
-
-
-def _old(target: Path) -> Path:
-    return target.with_name(f".{target.name}.old")
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -1,9 +1,15 @@
 """What has happened in a run so far, read from its folder: the one view that studio, command line and export share."""
 
+import bisect
+import dataclasses
+import math
 import time
+from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
+from morph_core.config import Projection
 from morph_core.design import DesignSpace
 from morph_core.protocol import (
     Acknowledged,
@@ -11,12 +17,32 @@ from morph_core.protocol import (
     DesignSpaceChanged,
     Evaluation,
     Heartbeat,
+    InjectDesign,
     Progress,
     RunRecord,
+    SetAlpha,
+    SetProjection,
     StateChanged,
     Status,
 )
 from morph_core.run_folder import LOST_AFTER, SAID_ENDED, RunFolder, RunFolderError, still_beating
+
+
+@dataclass(frozen=True, eq=False)
+class InForce:
+    """All that commands can change in a run, as it is when an iteration begins."""
+
+    space: DesignSpace
+    phi: np.ndarray  # (d,)
+    alpha: float
+    projection: Projection
+
+
+class _Steered(msgspec.Struct, frozen=True):
+    """The settings of a run that commands can change; a method without a proxy may record none."""
+
+    alpha: float = 0.0
+    projection: Projection = "none"
 
 
 class History:
@@ -30,10 +56,11 @@ class History:
         self.progress: list[Progress] = []
         self.evaluations: list[Evaluation] = []
         self.acknowledged: list[Acknowledged] = []
-        self.design_space = DesignSpace(tuple(self.record.parameters))
         self.state: StateChanged | None = None
         self.heartbeat: Heartbeat | None = None
+        self._changes: list[Acknowledged | DesignSpaceChanged] = []
         self._offset = 0
+        self.in_force = self.at()
         self.poll()
 
     def poll(self) -> list[AnyEvent]:
@@ -46,18 +73,49 @@ class History:
                 case StateChanged(status="starting", iteration=iteration):
                     self.progress = [p for p in self.progress if p.iteration <= iteration]
                     self.evaluations = [e for e in self.evaluations if e.iteration <= iteration]
+                    self._changes = [e for e in self._changes if e.iteration <= iteration]
                 case Progress():
                     self.progress.append(event)
                 case Evaluation():
                     self.evaluations.append(event)
                 case Acknowledged():
                     self.acknowledged.append(event)
-                case DesignSpaceChanged(parameters=parameters):
-                    self.design_space = DesignSpace(tuple(parameters))
+                    if event.accepted:
+                        self._changes.append(event)
+                case DesignSpaceChanged():
+                    self._changes.append(event)
             if isinstance(event, StateChanged):
                 self.state = event
         self.events.extend(events)
+        if events:
+            self.in_force = self.at()
         return events
+
+    def at(self, iteration: float = math.inf) -> InForce:
+        """Return what was in force when `iteration` began, by default what is now. What a resume voided never was."""
+        number = bisect.bisect_left(self.progress, iteration, key=lambda p: p.iteration)
+        before = [*self.progress[max(0, number - 1) : number], *(e for e in self._changes if e.iteration < iteration)]
+        found = self._begun_with()
+        for event in sorted(before, key=lambda e: e.seq):
+            found = _after(event, found)
+        return found
+
+    def commands(self, iteration: float = math.inf) -> list[Acknowledged]:
+        """Return the commands that were obeyed before `iteration`, and not undone by a resume from before them."""
+        return [e for e in self._changes if isinstance(e, Acknowledged) and e.iteration < iteration]
+
+    def _begun_with(self) -> InForce:
+        space = DesignSpace(tuple(self.record.parameters))
+        try:
+            steered = msgspec.convert(self.record.config, _Steered)
+        except msgspec.ValidationError:  # a folder from elsewhere: what can't be read is shown as the default
+            steered = _Steered()
+        return InForce(space, space.initial, steered.alpha, steered.projection)
+
+    @property
+    def design_space(self) -> DesignSpace:
+        """The bounds and locks now in force."""
+        return self.in_force.space
 
     @property
     def status(self) -> Status:
@@ -117,3 +175,21 @@ class History:
             if progress.iteration == int(which):
                 return progress.iteration, np.array(progress.phi)
         raise RunFolderError(f"{self.folder.id} has no iteration {which}; choose best, latest or 0 to {self.iteration}")
+
+
+def _after(event: Progress | Acknowledged | DesignSpaceChanged, before: InForce) -> InForce:
+    """Return what is in force after an event: an iteration records what it ran with, a command changes it."""
+    match event:
+        case Progress(phi=phi, alpha=alpha, projection=rule):
+            alpha = before.alpha if alpha is None else alpha
+            return InForce(before.space, np.array(phi), alpha, rule or before.projection)
+        case DesignSpaceChanged(parameters=parameters):
+            space = DesignSpace(tuple(parameters))
+            return dataclasses.replace(before, space=space, phi=space.clip(before.phi))
+        case Acknowledged(command=SetAlpha(alpha=alpha)):
+            return dataclasses.replace(before, alpha=alpha)
+        case Acknowledged(command=SetProjection(projection=rule)):
+            return dataclasses.replace(before, projection=rule)
+        case Acknowledged(command=InjectDesign(phi=phi)):
+            return dataclasses.replace(before, phi=before.space.clip(np.array(phi)))
+    return before

@@ -271,7 +271,6 @@ _FORMAT_1 = {"truncations": "diverged", "rollout": "episode"}
 _WRITTEN_BY_FORMAT_1 = re.compile(rb'"(%s)":' % b"|".join(name.encode() for name in _FORMAT_1))
 _events = msgspec.json.Decoder(AnyEvent)
 _orders = msgspec.json.Decoder(Order)
-_commands = msgspec.json.Decoder(AnyCommand)
 _records = msgspec.json.Decoder(RunRecord)
 _heartbeats = msgspec.json.Decoder(Heartbeat)
 
@@ -293,11 +292,6 @@ def decode_event(line: bytes | str) -> AnyEvent:
 def decode_order(text: bytes | str) -> Order:
     """Raise msgspec.DecodeError (ValidationError) on anything that is not an order."""
     return _orders.decode(text)
-
-
-def decode_command(text: bytes | str) -> AnyCommand:
-    """Raise msgspec.DecodeError (ValidationError) with the offending field on anything that is not a command."""
-    return _commands.decode(text)
 
 
 def decode_record(text: bytes | str) -> RunRecord:

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 import psutil
 
-from morph_core import format_1, protocol
+from morph_core import durable, format_1, protocol
 from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Order, RunRecord, Status
 
 HEARTBEAT_BYTES = 4096
@@ -130,7 +130,7 @@ class RunFolder:
         number = max(taken + acknowledged, default=0) + 1
         while True:
             draft = self.commands / f".{number:06d}.{os.getpid()}.{time.monotonic_ns()}"
-            write_durably(draft, protocol.encode(Order(number, command)))
+            durable.write_file(draft, protocol.encode(Order(number, command)))
             try:
                 os.link(draft, self.commands / f"{number:06d}.json")  # fails where rename would replace another's
                 return number
@@ -188,35 +188,23 @@ def create_run(runs: Path, record: RunRecord) -> RunFolder:
     if not RUN_ID.fullmatch(record.id):
         raise RunFolderError(f"{record.id!r} is no run name: letters, digits, dot, dash and underscore, at most 128")
     runs.mkdir(parents=True, exist_ok=True)
-    draft = runs / f".{record.id}.{os.getpid()}"
-    for folder in ("episodes", "checkpoints", "commands", "exports"):
-        (draft / folder).mkdir(parents=True)
-    write_durably(draft / "run.json", msgspec.json.format(protocol.encode(record), indent=2))
-    write_durably(draft / "events.jsonl", b"")
+    target = runs / record.id
     try:
-        draft.rename(runs / record.id)
+        with durable.new_folder(target) as draft:
+            for folder in ("episodes", "checkpoints", "commands", "exports"):
+                (draft / folder).mkdir()
+            (draft / "run.json").write_bytes(msgspec.json.format(protocol.encode(record), indent=2))
+            (draft / "events.jsonl").touch()
     except OSError:
-        raise RunFolderError(f"a run named {record.id} is there already") from None
-    return RunFolder(runs / record.id)
+        if target.exists():
+            raise RunFolderError(f"a run named {record.id} is there already") from None
+        raise
+    return RunFolder(target)
 
 
 def new_run_id(task: str, method: str, seed: int, now: float | None = None) -> str:
     """Return a name such as 20261122-101530-reacher-morph-s0."""
     return f"{time.strftime('%Y%m%d-%H%M%S', time.localtime(now))}-{task}-{method}-s{seed}"
-
-
-def write_durably(path: Path, content: bytes) -> None:
-    """Write a file so that after a crash it is there whole or not at all."""
-    draft = path.with_name(f".{path.name}.draft")
-    try:
-        with draft.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.rename(path)
-    except OSError:
-        draft.unlink(missing_ok=True)
-        raise
 
 
 # --- what only the trainer does ---
@@ -296,7 +284,7 @@ def write_episode(folder: RunFolder, iteration: int, arrays: dict[str, np.ndarra
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
     folder.episodes.mkdir(exist_ok=True)
-    write_durably(folder.episode(iteration), buffer.getvalue())
+    durable.write_file(folder.episode(iteration), buffer.getvalue())
     return f"{folder.episodes.name}/{iteration:06d}.npz"
 
 

@@ -23,10 +23,10 @@ import torch
 from morph_core import protocol
 from morph_core.catalogue import make_task, read_method
 from morph_core.checkpoint import all_finite, load_newest, recover_checkpoints, save_checkpoint
-from morph_core.config import NotNegative, Projection, check_value
 from morph_core.design import DesignSpace
+from morph_core.edits import AnyEdit, edited
 from morph_core.episodes import evaluate, record_episode
-from morph_core.history import History
+from morph_core.history import History, InForce
 from morph_core.method import Method
 from morph_core.protocol import (
     Acknowledged,
@@ -50,8 +50,8 @@ POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
 SHOWN_DESIGNS = 12
 """Largest number of explored designs that are kept with an evaluation."""
-_CHANGES_NOTHING = protocol.Pause | protocol.Resume | protocol.StepIteration | protocol.Stop
-"""Commands after which no checkpoint is needed: they change nothing that one holds."""
+_SAVED_AFTER = AnyEdit | protocol.Checkpoint
+"""The commands that need a checkpoint before they are acknowledged; the others change nothing that one holds."""
 
 
 class Trainer:
@@ -65,6 +65,7 @@ class Trainer:
         self._stopping = self._paused = self._step = False
         self._durations: deque[float] = deque(maxlen=20)  # s, of the last iterations
         self._iteration = self._env_steps = 0
+        self._cpu_start = time.process_time()  # s, when this run's CPU clock stood at zero
         history = History(folder)
         self._last = history.iteration + further if further is not None else self._record.iterations
         self._answered = {event.id for event in history.acknowledged}
@@ -82,24 +83,23 @@ class Trainer:
         task = self._task
         method = read_method(self._record)
         method.check(task)
-        state, cpu_before = self._load(task, method)
-        cpu_start = time.process_time() - cpu_before
+        state = self._load(task, method)
         if state.iteration < self._last:
             self._enter("running", "learning" if state.fitted else "fitting the proxy")
-            self._between_iterations(state, cpu_start)
+            self._between_iterations(state)
         if state.iteration < self._last and not self._stopping:
             began = time.monotonic()
             for progress in method.iterations(task, state):
-                self._take_in(task, method, state, progress, cpu_start)
+                self._take_in(task, method, state, progress)
                 self._durations.append(time.monotonic() - began)
-                self._between_iterations(state, cpu_start)
+                self._between_iterations(state)
                 if self._stopping or progress.iteration >= self._last:
                     break
                 began = time.monotonic()
         if state.iteration >= self._last:
             self._enter("finished", "finished", f"all {self._last} iterations are done")
         else:
-            self._checkpoint(state, cpu_start)
+            self._checkpoint(state)
             self._enter("stopped", "stopped", f"stopped after iteration {state.iteration}; resume goes on from here")
 
     def stop(self) -> None:
@@ -126,37 +126,42 @@ class Trainer:
 
     # --- one iteration ---
 
-    def _load(self, task: Task, method: Method) -> tuple[State, float]:
+    @property
+    def _cpu_seconds(self) -> float:
+        return time.process_time() - self._cpu_start
+
+    def _load(self, task: Task, method: Method) -> State:
         recover_checkpoints(self._folder)
         newest = load_newest(self._folder, task, method)
         if newest is None:
             state = start(task, method, self._record.seed, DesignSpace(tuple(self._record.parameters)))
             newest = state, 0.0
-        state, _ = newest
+        state, cpu_before = newest
+        self._cpu_start = time.process_time() - cpu_before
         self._iteration, self._env_steps = state.iteration, state.env_steps
         origin = f"from the checkpoint of iteration {state.iteration}" if state.iteration else "from the initial design"
         self._write(StateChanged(status="starting", iteration=state.iteration, message=origin))
         self._write(DesignSpaceChanged(iteration=state.iteration, parameters=list(state.design_space.parameters)))
-        return newest
+        return state
 
-    def _take_in(self, task: Task, method: Method, state: State, progress: Progress, cpu_start: float) -> None:
+    def _take_in(self, task: Task, method: Method, state: State, progress: Progress) -> None:
         """Record an iteration; evaluate and save where it is due."""
         if not all_finite(state) or not np.isfinite(progress.episode_return):
             raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
         self._iteration, self._env_steps = state.iteration, state.env_steps
         progress = msgspec.structs.replace(
             progress, relabelled_steps=state.relabelled_steps, diverged=state.diverged,
-            cpu_seconds=time.process_time() - cpu_start,
+            cpu_seconds=self._cpu_seconds,
         )  # fmt: skip
         self._write(progress)
         if progress.iteration % method.evaluation.interval == 0 or progress.iteration >= self._last:
             self._set("running", "evaluating")
-            self._evaluate(task, method, state, cpu_start)
+            self._evaluate(task, method, state)
             self._set("running", "saving")
-            self._checkpoint(state, cpu_start)
+            self._checkpoint(state)
         self._set("running", "collecting and learning")
 
-    def _evaluate(self, task: Task, method: Method, state: State, cpu_start: float) -> None:
+    def _evaluate(self, task: Task, method: Method, state: State) -> None:
         # Its own random numbers, so that what is learnt does not depend on how often it is evaluated.
         rng = np.random.default_rng([self._record.seed, state.iteration])
         policy = state.control.policy
@@ -172,46 +177,44 @@ class Trainer:
                 sampled_success=sampled.success, sampled_return=sampled.episode_return,
                 deterministic_success=mean.success, deterministic_return=mean.episode_return,
                 milestones=sampled.milestones, diverged=sampled.diverged,
-                episode=name, cpu_seconds=time.process_time() - cpu_start,
+                episode=name, cpu_seconds=self._cpu_seconds,
             )
         )  # fmt: skip
 
-    def _checkpoint(self, state: State, cpu_start: float) -> None:
-        self._persist(lambda: save_checkpoint(self._folder, state, time.process_time() - cpu_start))
+    def _checkpoint(self, state: State) -> None:
+        self._persist(lambda: save_checkpoint(self._folder, state, self._cpu_seconds))
 
     # --- commands ---
 
-    def _between_iterations(self, state: State, cpu_start: float) -> None:
+    def _between_iterations(self, state: State) -> None:
         """Obey what is in the inbox; hold here while paused."""
-        self._obey(state, cpu_start)
+        self._obey(state)
         if not self._paused or self._step or self._stopping:
             self._step = False
             return
-        self._checkpoint(state, cpu_start)
+        self._checkpoint(state)
         self._enter("paused", "paused")
         while self._paused and not self._step and not self._stopping:
             time.sleep(POLL_SECONDS)
-            self._obey(state, cpu_start)
+            self._obey(state)
         self._step = False
         self._enter("running", "collecting and learning")
 
-    def _obey(self, state: State, cpu_start: float) -> None:
+    def _obey(self, state: State) -> None:
         for path, order in self._folder.pending():
             if order is not None and order.id not in self._answered:
-                self._answer(order, state, cpu_start)
+                self._answer(order, state)
             path.unlink(missing_ok=True)
 
-    def _answer(self, order: Order, state: State, cpu_start: float) -> None:
+    def _answer(self, order: Order, state: State) -> None:
         try:
             before, accepted = state.design_space, True
             message = self._apply(order.command, state)
         except ValueError as error:
             before, accepted, message = state.design_space, False, str(error)
         # The checkpoint comes before the word: what was acknowledged survives any crash.
-        if accepted and not isinstance(
-            order.command, protocol.Pause | protocol.Resume | protocol.StepIteration | protocol.Stop
-        ):
-            self._checkpoint(state, cpu_start)
+        if accepted and isinstance(order.command, _SAVED_AFTER):
+            self._checkpoint(state)
         if state.design_space != before:
             parameters = list(state.design_space.parameters)
             self._write(DesignSpaceChanged(iteration=state.iteration, parameters=parameters))
@@ -271,45 +274,18 @@ class Trainer:
                 return result
 
 
-def apply_edit(command: AnyCommand, state: State, task: Task) -> str:
-    """Apply a change of alpha, projection, box, locks or phi; return what is in force, or raise ValueError."""
-    space = state.design_space
-    match command:
-        case protocol.SetAlpha(alpha=alpha):
-            check_value("alpha", NotNegative, alpha)
-            state.alpha = float(alpha)
-            return f"alpha is {alpha:g}"
-        case protocol.SetProjection(projection=rule):
-            check_value("projection", Projection, rule)
-            state.projection = rule
-            return f"projection is {rule}"
-        case protocol.SetBound(name=name, lo=lo, hi=hi):
-            _move(state, task, space.with_bound(name, lo, hi), state.phi)
-            return f"{name} is kept inside [{lo:g}, {hi:g}] {space.parameters[space.index(name)].unit}"
-        case protocol.Lock(name=name, value=value):
-            held = float(state.phi[space.index(name)]) if value is None else value
-            _move(state, task, space.with_lock(name, held), state.phi)
-            return f"{name} is locked at {held:g} {space.parameters[space.index(name)].unit}"
-        case protocol.Unlock(name=name):
-            _move(state, task, space.without_lock(name), state.phi)
-            return f"{name} is free"
-        case protocol.InjectDesign(phi=phi):
-            _move(state, task, space, space.check(phi))
-            return "going on from the given design"
-    raise ValueError(f"{type(command).__name__} changes nothing in a run's state")
-
-
-def _move(state: State, task: Task, space: DesignSpace, phi: np.ndarray) -> None:
-    """Put the new box and phi in force; raise ValueError for a design that can't be put together.
-
-    A proxy of another design would pull phi back, so it is fitted afresh. The search goes on, even where it had been
-    found good enough to freeze phi.
-    """
-    inside = space.clip(phi)
-    task.check_buildable(inside)
-    state.fitted = state.fitted and bool(np.array_equal(inside, state.phi))
-    state.frozen = False
-    state.design_space, state.phi = space, inside
+def apply_edit(command: AnyEdit, state: State, task: Task) -> str:
+    """Put a command in force and return the sentence that says so; raise ValueError, the state unchanged, if it is not
+    allowed."""
+    before = InForce(state.design_space, state.phi, state.alpha, state.projection)
+    edit = edited(task, before, command)
+    after = edit.in_force
+    # A proxy of another design would pull phi back, so it is fitted afresh.
+    state.fitted = state.fitted and bool(np.array_equal(after.phi, state.phi))
+    # The search goes on, even where it had been found good enough to freeze phi.
+    state.frozen = state.frozen and not edit.concerns_design
+    state.design_space, state.phi, state.alpha, state.projection = after.space, after.phi, after.alpha, after.projection
+    return edit.message
 
 
 def train(folder: RunFolder, further: int | None = None) -> int:

@@ -1,8 +1,6 @@
 """A new run: its settings checked, its record written, with what would be needed to run it again."""
 
 import contextlib
-import importlib.metadata
-import platform
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
@@ -15,8 +13,9 @@ from morph_core.config import recorded
 from morph_core.design import DesignSpace
 from morph_core.protocol import FORMAT, Parameter, Parent, RunRecord
 from morph_core.run_folder import RunFolder, RunFolderError, create_run, new_run_id
+from studio import limits
+from studio.versions import versions_of
 
-MAX_ITERATIONS = 1_000_000
 _PACKAGES = ("morph-studio", "numpy", "torch", "mujoco", "cma", "viser")
 
 
@@ -38,8 +37,7 @@ def prepare_run(
         configured = make_method(method, chosen, settings)
     except (TypeError, OverflowError) as error:  # a list where a number belongs, 10**400 where a float does
         raise ValueError(f"a setting of {task} has the wrong type or size: {error}") from error
-    check_whole("seed", seed, 0, 2**32 - 1)
-    check_whole("iterations", iterations, 1, MAX_ITERATIONS)
+    seed, iterations = limits.seed(seed), limits.iterations(iterations)
     space = chosen.design_space
     if parameters is not None:
         space = _edited(space, parameters)
@@ -56,7 +54,7 @@ def prepare_run(
         iterations=iterations,
         config=recorded(configured),
         parameters=list(space.parameters),
-        versions=versions(),
+        versions=versions_of(*_PACKAGES),
         git_revision=revision,
         git_dirty=dirty,
         created=time.time(),
@@ -71,12 +69,6 @@ def prepare_run(
         number += 1
 
 
-def check_whole(name: str, value: object, lo: int, hi: int) -> None:
-    """Raise ValueError unless `value` is a whole number in [lo, hi]."""
-    if isinstance(value, bool) or not isinstance(value, int) or not lo <= value <= hi:
-        raise ValueError(f"{name} must be a whole number from {lo} to {hi}, not {value!r}")
-
-
 def _edited(space: DesignSpace, parameters: Sequence[Parameter]) -> DesignSpace:
     """Return `space` with the bounds, locks and initial values of `parameters`; the rest is the task's."""
     for p in parameters:
@@ -89,15 +81,6 @@ def _edited(space: DesignSpace, parameters: Sequence[Parameter]) -> DesignSpace:
         moved = msgspec.structs.replace(space.parameters[i], initial=p.initial)
         space = DesignSpace((*space.parameters[:i], moved, *space.parameters[i + 1 :]))
     return space
-
-
-def versions() -> dict[str, str]:
-    """Return the versions a run depends on, without importing what they name."""
-    found = {"python": platform.python_version()}
-    for name in _PACKAGES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found
 
 
 def git_state() -> tuple[str | None, bool | None]:

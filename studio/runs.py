@@ -1,14 +1,10 @@
 """The runs of one folder: start, adopt and watch their trainers, and pass on commands."""
 
 import contextlib
-import platform
-import signal
 import subprocess
 import threading
-import time
 import typing
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -16,30 +12,18 @@ import msgspec
 from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.history import History
-from morph_core.protocol import (
-    AnyCommand,
-    Evaluation,
-    StateChanged,
-    Status,
-)
-from morph_core.run_folder import (
-    SAID_ENDED,
-    RunFolder,
-    RunFolderError,
-    find_run,
-    list_runs,
-    process_alive,
-    still_beating,
-)
+from morph_core.protocol import AnyCommand, Evaluation, StateChanged, Status
+from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs
+from studio import limits
 from studio.commands import check_command
-from studio.new_run import MAX_ITERATIONS, check_whole, prepare_run
+from studio.inquest import Inquest
+from studio.new_run import prepare_run
 from studio.trainers import spawn_trainer
 
 WATCHED = 20
 """How many of the newest runs the viewer is offered, beside those that run and the one it shows."""
 KEPT = 40
 """How many runs are kept in memory at most."""
-_LOG_TAIL = 4096
 _EVENTS_TAIL = 65536
 
 
@@ -64,23 +48,6 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Of the sampled policy on Hw-Phy, at the last evaluation."""
 
 
-@dataclass
-class _Child:
-    """A trainer that this server started."""
-
-    process: subprocess.Popen[bytes]
-    spawned: float
-    log_start: int
-
-
-@dataclass
-class _Verdict:
-    """A witness's word that a trainer died; the trainer itself could not say it."""
-
-    time: float
-    reason: str
-
-
 class Runs:
     """Thread-safe; every reading is fresh from the folder."""
 
@@ -93,9 +60,7 @@ class Runs:
         self._histories: dict[str, History] = {}  # least recently used first
         self._unreadable: dict[str, tuple[float, str]] = {}
         self._ended: dict[str, tuple[int, Summary]] = {}
-        self._children: dict[str, _Child] = {}
-        self._seen_alive: dict[str, tuple[int, float]] = {}
-        self._verdicts: dict[str, _Verdict] = {}
+        self._inquest = Inquest()
 
     # --- reading ---
 
@@ -104,20 +69,13 @@ class Runs:
         folder = find_run(self.folder, run_id)
         with self._lock:
             history = self._tail(folder)
-            self._judge(history)
+            self._inquest.look(history)
             return history
 
     def status(self, history: History) -> tuple[Status, str]:
         """Return what the run does and why, including what only a witness of its trainer's death can know."""
-        run_id = history.folder.id
         with self._lock:
-            verdict, child = self._witnessed_death(history), self._children.get(run_id)
-            if verdict:
-                return "failed", verdict.reason
-            spoken = history.state.time if history.state else 0.0
-            if child and (spoken < child.spawned or history.status == "lost"):  # no heartbeat of its own yet
-                return "starting", "the trainer starts"
-            return history.status, history.message
+            return self._inquest.status(history)
 
     def summary(self, run_id: str) -> Summary:
         """Return one line about a run, whatever its state; raise RunFolderError only if there is no such run."""
@@ -143,7 +101,7 @@ class Runs:
         """Return the runs the viewer may show, newest first: recent, running, and the current one."""
         names = self.ids()
         with self._lock:
-            wanted = {*names[:WATCHED], *self._children, self.shown}
+            wanted = {*names[:WATCHED], *self._inquest.children, self.shown}
         histories = {}
         for name in names:
             if name in wanted:
@@ -169,18 +127,18 @@ class Runs:
         """Create a run as `prepare_run` does, start its trainer and show it; return its id."""
         folder = prepare_run(self.folder, **wishes)
         with self._lock:
-            self._launch(folder, None)
+            self._launch(folder)
         self.shown = folder.id
         return folder.id
 
     def resume(self, run_id: str, further: int | None = None) -> None:
         """Start a trainer that goes on from the newest checkpoint; ValueError if one is at work or nothing is left."""
         if further is not None:
-            check_whole("further", further, 1, MAX_ITERATIONS)
+            further = limits.iterations(further, "further")
         with self._lock:
             history = self.get(run_id)
             status, _ = self.status(history)
-            if self._is_alive(history):
+            if self._inquest.is_alive(history):
                 raise ValueError(f"{run_id} has a trainer already and is {status}; send it the command resume instead")
             if status == "finished" and further is None:
                 raise ValueError(f"{run_id} has finished: say how many iterations it shall do further")
@@ -191,59 +149,14 @@ class Runs:
         """Put a command into the run's inbox and return its id; ValueError, the run unchanged, if it is no good."""
         history = self.get(run_id)
         task = make_task(history.record.task, history.record.task_options)
-        command = check_command(command, history.design_space, task)
+        command = check_command(command, history.in_force, task)
         with self._lock:
-            if not self._is_alive(history):
+            if not self._inquest.is_alive(history):
                 raise ValueError(f"{run_id} is {self.status(history)[0]}: resume it, then send commands")
         return history.folder.send(command)
 
-    # --- trainers ---
-
-    def _launch(self, folder: RunFolder, further: int | None) -> None:
-        log = folder.path / "trainer.log"
-        start = log.stat().st_size if log.exists() else 0
-        spawned = time.time()
-        self._verdicts.pop(folder.id, None)
-        self._seen_alive.pop(folder.id, None)
-        self._children[folder.id] = _Child(self._spawn(folder, further=further), spawned, start)
-
-    def _is_alive(self, history: History) -> bool:
-        child = self._children.get(history.folder.id)
-        if child is not None and child.process.poll() is None:
-            return True
-        return self._witnessed_death(history) is None and history.folder.trainer_alive()
-
-    def _witnessed_death(self, history: History) -> _Verdict | None:
-        verdict = self._verdicts.get(history.folder.id)
-        return verdict if verdict and (history.state is None or history.state.time < verdict.time) else None
-
-    def _judge(self, history: History) -> None:
-        """Reap a trainer that has ended, and find out whether it died without a word."""
-        run_id = history.folder.id
-        child = self._children.get(run_id)
-        if child is not None:
-            code = child.process.poll()
-            if code is None:
-                return
-            del self._children[run_id]
-            history.poll()  # its last words
-            state, beat = history.state, history.heartbeat
-            spoken = state is not None and state.time >= child.spawned and state.status in SAID_ENDED
-            # Refused because another trainer holds the folder: then it is not this one's death that counts.
-            other = beat is not None and beat.pid != child.process.pid and still_beating(beat)
-            if not spoken and not other:
-                self._verdicts[run_id] = _Verdict(time.time(), _cause(code, history.folder, child.log_start))
-            return
-        beat = history.heartbeat
-        if beat is None or beat.host != platform.node() or history.status in SAID_ENDED:
-            return
-        process = (beat.pid, beat.process_started)
-        if process_alive(*process):  # adopted, or started by someone else
-            self._seen_alive[run_id] = process
-            self._verdicts.pop(run_id, None)
-        elif self._seen_alive.get(run_id) == process:
-            del self._seen_alive[run_id]
-            self._verdicts[run_id] = _Verdict(time.time(), _cause(None, history.folder, 0))
+    def _launch(self, folder: RunFolder, further: int | None = None) -> None:
+        self._inquest.begin(folder, lambda: self._spawn(folder, further=further))
 
     # --- opening ---
 
@@ -293,7 +206,7 @@ class Runs:
     def _ended_summary(self, folder: RunFolder) -> Summary | None:
         """Return the line of a run that has ended from the end of its log alone: hundreds stay quick to list."""
         with self._lock:
-            if folder.id in self._children or folder.id in self._verdicts or folder.id in self._histories:
+            if self._inquest.concerns(folder.id) or folder.id in self._histories:
                 return None
         try:
             size = folder.events.stat().st_size
@@ -325,25 +238,3 @@ class Runs:
         )
         self._ended[folder.id] = size, line
         return line
-
-
-def _cause(code: int | None, folder: RunFolder, log_start: int) -> str:
-    """Say why a trainer ended: the signal that killed it, or the last line of its log."""
-    if code is not None and code < 0:
-        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-        hint = " (perhaps out of memory)" if name == "SIGKILL" else ""
-        return f"the trainer was killed by {name}{hint}; resume goes on from its newest checkpoint"
-    last = _last_line(folder.path / "trainer.log", log_start)
-    if code is None:
-        return "the trainer died" + (f": {last}" if last else "; resume goes on from its newest checkpoint")
-    return last or f"the trainer ended with exit status {code} and without a word"
-
-
-def _last_line(log: Path, start: int) -> str:
-    try:
-        with log.open("rb") as file:
-            file.seek(max(start, log.stat().st_size - _LOG_TAIL))
-            lines = file.read(_LOG_TAIL).decode("utf-8", "replace").split("\n")
-    except OSError:
-        return ""
-    return next((line.strip()[:500] for line in reversed(lines) if line.strip()), "")

@@ -6,14 +6,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 
-def _port() -> int:
+def default_port() -> int:
+    """Return PORT from the environment, or 8000; raise ValueError if it is no number."""
     text = os.environ.get("PORT") or "8000"
     if not text.isdecimal():
         raise ValueError(f"PORT must be a whole number from 0 to 65535, not {text!r}")
     return int(text)
 
 
-def _runs() -> Path:
+def default_runs() -> Path:
+    """Return MORPH_RUNS from the environment, or the folder `runs`."""
     return Path(os.environ.get("MORPH_RUNS") or "runs")
 
 
@@ -35,9 +37,9 @@ class Settings:
 
     host: str = "127.0.0.1"
     """Address to listen on; any other than this machine's own needs a token."""
-    port: int = field(default_factory=_port)
+    port: int = field(default_factory=default_port)
     """Port to listen on, from PORT; 0 takes a free one."""
-    runs: Path = field(default_factory=_runs)
+    runs: Path = field(default_factory=default_runs)
     """Folder of the run folders, from MORPH_RUNS."""
     token: str | None = field(default_factory=_token, repr=False)
     """Token that browsers and API clients must know, from MORPH_TOKEN; without it, a link made at the start lets a

@@ -9,7 +9,8 @@ from fastapi import Request, Response
 
 from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Parent, Progress
 from studio.fields import Field
-from studio.runs import MAX_ITERATIONS, Summary
+from studio.limits import LARGEST_SEED, MAX_ITERATIONS
+from studio.runs import Summary
 
 MAX_BODY = 1 << 20
 """Largest body of a request, in bytes."""
@@ -23,7 +24,7 @@ class StartRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     task: str
     method: str = "morph"
-    seed: Annotated[int, msgspec.Meta(ge=0, lt=2**32)] = 0
+    seed: Annotated[int, msgspec.Meta(ge=0, le=LARGEST_SEED)] = 0
     iterations: Number = 100
     settings: dict[str, object] = {}
     task_options: dict[str, object] = {}

@@ -5,7 +5,6 @@ import dataclasses
 import difflib
 import io
 import itertools
-import os
 import re
 import typing
 from collections.abc import Iterator, Sequence
@@ -15,6 +14,8 @@ from typing import Annotated, TypeVar
 
 import tyro
 
+from studio.settings import default_runs
+
 T = TypeVar("T")
 Count = Annotated[int, tyro.conf.arg(metavar="N")]
 RunName = Annotated[str, tyro.conf.arg(metavar="RUN")]
@@ -22,10 +23,6 @@ RunName = Annotated[str, tyro.conf.arg(metavar="RUN")]
 
 class UsageError(ValueError):
     """What was asked for is not possible; the message says what is."""
-
-
-def default_runs() -> Path:
-    return Path(os.environ.get("MORPH_RUNS") or "runs")
 
 
 @dataclass(frozen=True)

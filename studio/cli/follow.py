@@ -17,6 +17,7 @@ from rich.text import Text
 from morph_core.history import History
 from morph_core.protocol import Status, Stop
 from morph_core.run_folder import RunFolder
+from studio.inquest import Child, start_child
 
 POLL_SECONDS = 0.2
 LINE_SECONDS = 5.0
@@ -36,32 +37,31 @@ def follow(folder: RunFolder, spawn: Callable[[], subprocess.Popen[bytes]], *, q
     """Start a trainer and show it until it ends. The first Ctrl-C stops it after the iteration, the second kills it."""
     console = Console(stderr=True, soft_wrap=True)
     with _interrupts() as presses:
-        spawned, log_start = time.time(), _size(folder)
-        trainer = spawn()
+        child = start_child(folder, spawn)
         show = Bar if console.is_terminal else Lines
         with show(console, quiet) as view:
             view.say(f"{folder.id}: started; morph-studio serve --runs {shlex.quote(str(folder.path.parent))} shows it")
-            _wait(folder, trainer, presses, view)
-        outcome = _outcome(History(folder), trainer.wait(), bool(presses), spawned, log_start)
+            _wait(child, presses, view)
+        outcome = _outcome(child, interrupted=bool(presses))
         if not quiet or outcome.code == 1:
             _conclude(console, folder, outcome)
         return outcome
 
 
-def _wait(folder: RunFolder, trainer: subprocess.Popen[bytes], presses: list[int], view: "Bar | Lines") -> None:
-    history = History(folder)
+def _wait(child: Child, presses: list[int], view: "Bar | Lines") -> None:
+    history = History(child.folder)
     heard = 0
-    while trainer.poll() is None:
+    while child.process.poll() is None:
         time.sleep(POLL_SECONDS)
         history.poll()
         view.show(history)
         if presses and heard == 0:
             heard = 1
-            folder.send(Stop())
+            child.folder.send(Stop())
             view.say("stopping after this iteration; Ctrl-C again ends it at once")
         elif len(presses) > 1 and heard == 1:
             heard = 2
-            trainer.kill()  # a checkpoint is whole or not there: nothing before it is lost
+            child.process.kill()  # a checkpoint is whole or not there: nothing before it is lost
     history.poll()
     view.show(history, last=True)
 
@@ -82,38 +82,14 @@ def _interrupts() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _outcome(history: History, code: int, interrupted: bool, spawned: float, log_start: int) -> Outcome:
-    said = history.state is not None and history.state.time >= spawned  # not the words of an earlier trainer
-    status, message = history.status, history.message
-    if said and status == "finished":
-        return Outcome(0, status, message)
-    if said and status == "stopped":
-        return Outcome(130 if interrupted else 0, status, message)
-    if interrupted and code == -signal.SIGKILL:
+def _outcome(child: Child, interrupted: bool) -> Outcome:
+    code, end = child.process.wait(), child.spoken_end(History(child.folder))
+    if end is None and interrupted and code == -signal.SIGKILL:
         return Outcome(130, "lost", "ended at once; what came after the newest checkpoint will be done again")
-    if not (said and status == "failed" and message):
-        message = f"the trainer ended with {_in_words(code)}{_last_words(history.folder, log_start)}"
-    return Outcome(1, "failed", message)
-
-
-def _in_words(code: int) -> str:
-    return f"signal {-code} ({signal.strsignal(-code)})" if code < 0 else f"exit status {code}"
-
-
-def _size(folder: RunFolder) -> int:
-    log = folder.path / "trainer.log"
-    return log.stat().st_size if log.exists() else 0
-
-
-def _last_words(folder: RunFolder, start: int) -> str:
-    """Return the last line that this trainer, not an earlier one, wrote to its log."""
-    try:
-        with (folder.path / "trainer.log").open("rb") as log:
-            log.seek(start)
-            lines = log.read().decode(errors="replace").strip().splitlines()
-    except OSError:
-        return ""
-    return f": {lines[-1][:400]}" if lines else ""
+    if end is None:
+        return Outcome(1, "failed", child.cause())
+    codes: dict[Status, int] = {"finished": 0, "stopped": 130 if interrupted else 0}
+    return Outcome(codes.get(end.status, 1), end.status, end.message)
 
 
 def _conclude(console: Console, folder: RunFolder, outcome: Outcome) -> None:

@@ -1,6 +1,5 @@
 """`morph-studio serve`: open the studio in the browser."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -8,13 +7,7 @@ from typing import Annotated, Any
 import tyro
 
 from studio.cli.arguments import RunsArguments, UsageError, parse
-
-
-def _default_port() -> int:
-    text = os.environ.get("PORT") or "8000"
-    if not text.isdecimal():
-        raise UsageError(f"PORT must be a whole number from 0 to 65535, not {text!r}")
-    return int(text)
+from studio.settings import Settings, default_port
 
 
 @dataclass(frozen=True)
@@ -23,8 +16,8 @@ class ServeArguments(RunsArguments):
 
     host: str = "127.0.0.1"
     """Address to listen on; any other than this machine's own needs a token."""
-    port: Annotated[int, tyro.conf.arg(metavar="PORT")] = field(default_factory=_default_port)
-    """Port to listen on; without it, PORT from the environment."""
+    port: Annotated[int, tyro.conf.arg(metavar="PORT")] = field(default_factory=default_port)
+    """Port to listen on; PORT from the environment."""
     token: Annotated[str | None, tyro.conf.arg(metavar="TOKEN")] = None
     """Token that browsers and API clients must know; without it, MORPH_TOKEN from the environment."""
     no_browser: bool = False
@@ -32,12 +25,9 @@ class ServeArguments(RunsArguments):
 
 
 def main(words: Sequence[str]) -> int:
-    """Run `morph-studio serve` with these words; return the exit status."""
-    arguments = parse(ServeArguments, words, "serve")
-    from studio.settings import Settings
-
-    given: dict[str, Any] = {} if arguments.token is None else {"token": arguments.token}
     try:
+        arguments = parse(ServeArguments, words, "serve")
+        given: dict[str, Any] = {} if arguments.token is None else {"token": arguments.token}
         settings = Settings(
             host=arguments.host,
             port=arguments.port,
@@ -45,7 +35,9 @@ def main(words: Sequence[str]) -> int:
             open_browser=not arguments.no_browser,
             **given,
         )
-    except ValueError as error:
+    except UsageError:
+        raise
+    except ValueError as error:  # of the settings, or of the environment
         raise UsageError(f"serve: {error}") from error
     from studio.app import serve
 

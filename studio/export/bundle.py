@@ -26,7 +26,7 @@ from studio.export.mjcf import write_mjcf
 from studio.export.picture import picture
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
-from studio.export.provenance import design_space_at, provenance_of
+from studio.export.provenance import provenance_of
 from studio.export.report import bill_of_materials, report
 from studio.export.step import step_files
 from studio.export.urdf import write_urdf
@@ -263,7 +263,7 @@ def _design(history: History, task: Task, which: str, iteration: int, phi: np.nd
     parameters = [
         Value(name=p.name, value=float(value), unit=p.unit, lo=p.lo, hi=p.hi, locked_at=p.locked_at,
               hard_lo=p.hard_lo, hard_hi=p.hard_hi, initial=p.initial)
-        for p, value in zip(design_space_at(history, iteration).parameters, phi, strict=True)
+        for p, value in zip(history.at(iteration).space.parameters, phi, strict=True)
     ]  # fmt: skip
     return Design(
         task=task.name,

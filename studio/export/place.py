@@ -1,14 +1,10 @@
 """A bundle on disk: a zip or a folder that appears whole or not at all, and replaces an earlier export alone."""
 
-import contextlib
-import os
-import shutil
-import tempfile
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import msgspec
 
+from morph_core import durable
 from studio.export.bundle import Bundle
 from studio.export.errors import ExportError
 from studio.export.proof import PROVENANCE
@@ -23,51 +19,16 @@ def write_bundle(bundle: Bundle, out: Path) -> Path:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         if out.suffix.lower() == ".zip" and not out.is_dir():
-            _replace_file(out, bundle.content)
+            durable.write_file(out, bundle.content)
         else:
             _check_replaceable(out)
-            _replace_folder(out, bundle.files)
+            with durable.replaced_folder(out) as draft:
+                for path, content in bundle.files.items():
+                    (draft / path).parent.mkdir(parents=True, exist_ok=True)
+                    (draft / path).write_bytes(content)
     except OSError as error:
         raise ExportError(f"can't write {out}: {error.strerror or error}") from error
     return out
-
-
-@contextlib.contextmanager
-def _draft(out: Path) -> Iterator[Path]:
-    """Give a folder beside `out` that is gone afterwards."""
-    folder = Path(tempfile.mkdtemp(prefix=f".{out.name[:80]}.", dir=out.parent))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _replace_file(out: Path, content: bytes) -> None:
-    with _draft(out) as draft:
-        _write(draft / "zip", content)
-        (draft / "zip").replace(out)
-
-
-def _replace_folder(out: Path, files: Mapping[str, bytes]) -> None:
-    with _draft(out) as draft:
-        for path, content in files.items():
-            (draft / "new" / path).parent.mkdir(parents=True, exist_ok=True)
-            _write(draft / "new" / path, content)
-        if out.exists():
-            out.rename(draft / "old")
-        try:
-            (draft / "new").rename(out)
-        except OSError:
-            if (draft / "old").exists():
-                (draft / "old").rename(out)
-            raise
-
-
-def _write(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _check_replaceable(out: Path) -> None:

@@ -1,17 +1,15 @@
 """Where an exported design comes from: its run and configuration, what a user changed, a digest of each file."""
 
 import hashlib
-import platform
 import time
 from collections.abc import Mapping
-from importlib import metadata
 
 import msgspec
 
-from morph_core.design import DesignSpace
 from morph_core.history import History
-from morph_core.protocol import Acknowledged, AnyCommand, DesignSpaceChanged, Parent, StateChanged
+from morph_core.protocol import AnyCommand, Parent
 from studio.export.policy import Score
+from studio.versions import versions_of
 
 KIND = "morph-studio export"
 
@@ -57,11 +55,7 @@ def provenance_of(
     history: History, iteration: int, files: Mapping[str, bytes], checks: list[str], policy: list[Score]
 ) -> Provenance:
     record = history.record
-    commands = [
-        TakenCommand(e.iteration, e.command)
-        for e in events_until(history, iteration)
-        if isinstance(e, Acknowledged) and e.accepted
-    ]
+    commands = [TakenCommand(e.iteration, e.command) for e in history.commands(iteration)]
     return Provenance(
         run=history.folder.id,
         iteration=iteration,
@@ -71,7 +65,7 @@ def provenance_of(
         seed=record.seed,
         config=record.config,
         versions=record.versions,
-        export_versions=_versions(),
+        export_versions=versions_of("morph-studio", "mujoco", "numpy"),
         git_revision=record.git_revision,
         git_dirty=record.git_dirty,
         parent=record.parent,
@@ -83,33 +77,3 @@ def provenance_of(
         policy=policy,
         exported=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     )
-
-
-def design_space_at(history: History, iteration: int) -> DesignSpace:
-    """Return bounds and locks as they were in force in `iteration`."""
-    space = DesignSpace(tuple(history.record.parameters))
-    for event in events_until(history, iteration):
-        if isinstance(event, DesignSpaceChanged):
-            space = DesignSpace(tuple(event.parameters))
-    return space
-
-
-def events_until(history: History, iteration: int) -> list[Acknowledged | DesignSpaceChanged]:
-    """Return what took effect up to `iteration`: after an earlier one, and not undone by a resume from before."""
-    kept: list[Acknowledged | DesignSpaceChanged] = []
-    for event in history.events:
-        if isinstance(event, StateChanged) and event.status == "starting":
-            kept = [e for e in kept if e.iteration <= event.iteration]
-        elif isinstance(event, Acknowledged | DesignSpaceChanged) and event.iteration < iteration:
-            kept.append(event)
-    return kept
-
-
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
-    for name in ("morph-studio", "mujoco", "numpy"):
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue  # run from a checkout that is not installed
-    return versions

@@ -1,6 +1,5 @@
 """The start panel: everything a new run needs, and one button."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,15 +8,13 @@ import viser
 from morph_core.catalogue import METHODS, TASKS, broken_plugins, make_method, make_task
 from morph_core.protocol import Parameter
 from morph_core.task import Task
+from studio import limits
 from studio.export.design_file import DESIGN_TYPES, Design, phi_for, read_design, starting_from
 from studio.fields import fields_of
 from studio.viewer import wording
 from studio.viewer.parts import shows_parts
 from studio.viewer.settings import SettingsForm
 from studio.viewer.take import Shot
-
-_MOST_ITERATIONS = 1_000_000
-_LARGEST_SEED = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -59,10 +56,10 @@ class StartPanel:
             self.options = {name: self._add_options(gui, name) for name in TASKS}
             self.method = gui.add_dropdown("method", list(METHODS), hint=_methods_hint())
             self.seed = gui.add_number(
-                "seed", 0, min=0, max=_LARGEST_SEED, step=1, hint="The same seed gives the same run."
+                "seed", 0, min=0, max=limits.LARGEST_SEED, step=1, hint="The same seed gives the same run."
             )
             self.iterations = gui.add_number(
-                "iterations", _usual_iterations(task), min=1, max=_MOST_ITERATIONS, step=1,
+                "iterations", _usual_iterations(task), min=1, max=limits.MAX_ITERATIONS, step=1,
                 hint="Each samples trajectories, learns from them, and searches for the next design.",
             )  # fmt: skip
             self.settings = SettingsForm(gui)
@@ -124,8 +121,8 @@ class StartPanel:
         return StartRequest(
             task=name,
             method=method,
-            seed=_whole("seed", self.seed.value, 0, _LARGEST_SEED),
-            iterations=_whole("iterations", self.iterations.value, 1, _MOST_ITERATIONS),
+            seed=limits.seed(self.seed.value),
+            iterations=limits.iterations(self.iterations.value),
             settings=settings,
             task_options=self._task_options(name),
             parameters=starting_from(self._design, task.design_space) if self._design else None,
@@ -205,9 +202,3 @@ def _usual_iterations(task: Task) -> int:
 
 def _methods_hint() -> str:
     return "; ".join(f"{name}: {METHODS[name].title}" for name in METHODS)
-
-
-def _whole(name: str, value: float, lowest: int, highest: int) -> int:
-    if not math.isfinite(value) or value != int(value) or not lowest <= value <= highest:
-        raise ValueError(f"{name} must be a whole number from {lowest} to {highest}, not {value}")
-    return int(value)

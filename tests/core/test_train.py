@@ -16,11 +16,12 @@ import pytest
 
 from morph_core import protocol
 from morph_core.catalogue import make_task
+from morph_core.checkpoint import load_newest
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, StateChanged
-from morph_core.run_folder import RunFolder, read_episode
+from morph_core.protocol import AnyCommand, AnyEvent, StateChanged
+from morph_core.run_folder import EventLog, RunFolder, read_episode
 from morph_core.state import start
-from morph_core.train import METHODS, apply_edit
+from morph_core.train import METHODS, Trainer, apply_edit
 from tests.core.conftest import SMALL, make_run
 
 
@@ -78,6 +79,7 @@ def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp
         (protocol.SetBound("link_1", 1.0, 2.0), True), (protocol.SetBound("link_1", 4.0, 2.0), False),
         (protocol.SetBound("link_9", 1.0, 2.0), False), (protocol.Lock("link_2", 1.25), True),
         (protocol.Lock("link_3", 99.0), False), (protocol.InjectDesign([0.5] * 5), False),
+        (protocol.InjectDesign([1.5] * 5), False),  # against the lock of link_2
         (protocol.InjectDesign([1.5, 1.25, 1.0, 1.0, 1.0]), True), (protocol.StepIteration(), True),
     ]  # fmt: skip
     ids = [folder.send(command) for command, _ in sent]
@@ -88,6 +90,7 @@ def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp
         (i, command, accepted) for i, (command, accepted) in zip(ids, sent, strict=True)
     ]
     assert all(a.iteration == 0 and a.message for a in answers)
+    assert answers[9].message == "link_2 is locked at 1.25 m, not 1.5: unlock it first"
     assert history.design_space.parameters[1].locked_at == 1.25
     first = history.progress[0]
     assert (first.alpha, first.projection, first.phi[1]) == (3.5, "one_sided", 1.25)
@@ -253,6 +256,48 @@ def test_the_proxy_is_fitted_afresh_only_when_phi_was_moved() -> None:
     apply_edit(protocol.SetBound("link_1", 1.0, 2.0), state, task)
     assert state.phi[0] == 2.0
     assert not state.fitted
+
+
+def test_an_edit_of_the_design_lets_a_frozen_search_go_on() -> None:
+    task = make_task("reacher")
+    for command in (protocol.SetBound("link_1", 1.0, 4.0), protocol.Lock("link_1"), protocol.Unlock("link_2"),
+                    protocol.InjectDesign([2.0] * 5)):  # fmt: skip
+        state = start(task, SMALL, 0)
+        state.frozen = True
+        apply_edit(protocol.SetAlpha(2.0), state, task)
+        assert state.frozen
+        apply_edit(command, state, task)
+        assert not state.frozen
+
+
+@pytest.mark.parametrize(
+    ("command", "saved"),
+    [
+        (protocol.SetAlpha(4.0), True), (protocol.SetProjection("one_sided"), True), (protocol.Lock("link_1"), True),
+        (protocol.SetBound("link_1", 0.5, 2.0), True), (protocol.InjectDesign([1.0] * 5), True),
+        (protocol.Checkpoint(), True), (protocol.Pause(), False), (protocol.SetAlpha(-1.0), False),
+    ],
+)  # fmt: skip
+def test_what_is_acknowledged_is_in_a_checkpoint_before_the_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: AnyCommand, saved: bool
+) -> None:
+    folder, task = make_run(tmp_path), make_task("reacher")
+    trainer, state = Trainer(folder), start(task, SMALL, 0)
+    found = []
+
+    def look(_: EventLog, event: AnyEvent) -> AnyEvent:
+        if isinstance(event, protocol.Acknowledged):
+            found.append(load_newest(folder, task, SMALL))
+        return event
+
+    monkeypatch.setattr(EventLog, "append", look)
+    trainer._answer(protocol.Order(1, command), state)
+    [checkpoint] = found
+    assert (checkpoint is not None) is saved
+    if checkpoint is not None:
+        loaded, _ = checkpoint
+        assert (loaded.alpha, loaded.projection) == (state.alpha, state.projection)
+        assert (loaded.design_space, loaded.phi.tolist()) == (state.design_space, state.phi.tolist())
 
 
 def test_a_hand_is_never_moved_to_where_its_fingers_stand_in_each_other() -> None:

@@ -4,7 +4,7 @@ import math
 import socket
 import struct
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import httpx
@@ -164,9 +164,10 @@ def test_a_forged_page_can_not_press_a_button(served: Served) -> None:
 def test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shared = []
+    shared, values = [], []
     monkeypatch.setattr(served.viewer.server, "request_share_url", lambda: shared.append("tunnel"))
     slider = served.viewer.server.gui.add_slider("alpha", min=0, max=1, step=0.1, initial_value=0.5)
+    slider.on_update(lambda event: values.append(event.target.value))
     uuid, impl = slider._impl.uuid, slider._impl
     kept = impl.update_cb
     with browse(served) as browser:
@@ -185,6 +186,7 @@ def test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives(
         browser.send("nor is this")
         say(browser, {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": 0.7}})
         assert eventually(lambda: slider.value == 0.7)
+    assert eventually(lambda: values) == [0.7]
     assert shared == []
     assert impl.update_cb is kept
 
@@ -246,6 +248,23 @@ def test_only_allowed_kinds_are_admitted() -> None:
     admitted = {kind for kind in kinds if admit(msgspec.msgpack.encode({"type": kind, "updates": {"value": 1}}))}
     assert admitted == ALLOWED & kinds
     assert len(kinds) > 100
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    "place",
+    [
+        lambda odd: {"type": "GuiUpdateMessage", "uuid": "u", "updates": {"value": odd}},
+        lambda odd: {"type": "GuiUpdateMessage", "uuid": "u", "updates": {"value": [0.5, [odd]]}},
+        lambda odd: {"type": "GuiUpdateMessage", "uuid": "u", "updates": {"value": {"x": (odd, 1.0)}}},
+        lambda odd: {**CAMERA, "position": [1.0, odd, 1.0]},
+        lambda odd: {**CAMERA, "fov": odd},
+    ],
+    ids=["value", "list", "dict", "vector", "field"],
+)
+def test_a_number_that_is_none_is_dropped_wherever_it_stands(place: Callable[[float], object], odd: float) -> None:
+    assert admit(msgspec.msgpack.encode(place(1.0)))
+    assert not admit(msgspec.msgpack.encode(place(odd)))
 
 
 @given(st.binary(max_size=200))

@@ -11,26 +11,11 @@ from typing import Any
 import msgspec
 import pytest
 from conftest import eventually, in_mood, make_run, stand_in
-from hypothesis import given
-from hypothesis import strategies as st
 
 from morph_core.catalogue import make_method, make_task
 from morph_core.config import flattened
-from morph_core.protocol import (
-    AnyCommand,
-    InjectDesign,
-    Lock,
-    Parameter,
-    Pause,
-    SetAlpha,
-    SetBound,
-    SetProjection,
-    StateChanged,
-    Stop,
-    Unlock,
-)
+from morph_core.protocol import InjectDesign, Lock, Parameter, Pause, SetAlpha, SetBound, StateChanged, Stop
 from morph_core.run_folder import EventLog, RunFolder, RunFolderError
-from studio.commands import check_command
 from studio.new_run import git_state, prepare_run
 from studio.runs import KEPT, Runs
 from studio.trainers import spawn_trainer
@@ -187,6 +172,7 @@ def test_a_killed_trainer_is_told_with_its_signal_and_can_be_resumed(runs_folder
     with pytest.raises(ValueError, match="is failed: resume it"):
         runs.send(run_id, Pause())
     runs.resume(run_id)
+    assert runs.summary(run_id).status in ("starting", "running"), "the earlier death is no news of this trainer"
     assert eventually(lambda: runs.summary(run_id).status == "running")
 
 
@@ -216,8 +202,8 @@ def test_a_trainer_refused_by_the_lock_says_nothing_about_the_run(runs_folder: P
     runs = Runs(runs_folder, stand_in)
     run_id = begun(runs)
     other = Runs(runs_folder, stand_in)
-    other._launch(RunFolder(runs_folder / run_id), None)  # as a second server would, a moment before the first beat
-    assert eventually(lambda: run_id not in other._children or not other.get(run_id))
+    other._launch(RunFolder(runs_folder / run_id))  # as a second server would, a moment before the first beat
+    assert eventually(lambda: run_id not in other._inquest.children or not other.get(run_id))
     assert eventually(lambda: other.summary(run_id).status == "running")
     assert other.summary(run_id).reason == ""
 
@@ -349,52 +335,10 @@ def test_no_name_leads_out_of_the_folder(runs_folder: Path, name: str) -> None:
 
 # --- commands ---------------------------------------------------------------------------------------------------------
 
-numbers = st.floats() | st.sampled_from([0.05, 5.0, 1e308, -1e308, -0.0])
 
-
-@given(st.sampled_from(SPACE.names), numbers, numbers)
-def test_a_bound_is_accepted_exactly_when_it_lies_in_the_hard_box(name: str, lo: float, hi: float) -> None:
-    assert _accepted(SetBound(name, lo, hi)) == (0.05 <= lo < hi <= 5.0)
-
-
-@given(st.sampled_from(SPACE.names), numbers)
-def test_a_lock_is_accepted_exactly_inside_the_bounds(name: str, value: float) -> None:
-    assert _accepted(Lock(name, value)) == (0.05 <= value <= 5.0)
-
-
-@given(st.lists(numbers, max_size=7))
-def test_a_design_is_accepted_exactly_inside_the_bounds(phi: list[float]) -> None:
-    assert _accepted(InjectDesign(phi)) == (len(phi) == 5 and all(0.05 <= value <= 5.0 for value in phi))
-
-
-@given(numbers)
-def test_alpha_is_accepted_exactly_when_finite_and_not_negative(alpha: float) -> None:
-    assert _accepted(SetAlpha(alpha)) == (math.isfinite(alpha) and alpha >= 0)
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        SetProjection("sideways"), SetAlpha("1"), SetAlpha(None), SetBound("link_9", 1, 2), SetBound(1, 1, 2),  # pyright: ignore
-        Lock("link_9"), Unlock(""), InjectDesign("12345"), InjectDesign([[1]] * 5), Lock("link_1", True),  # pyright: ignore
-    ],
-)  # fmt: skip
-def test_fields_of_the_wrong_kind_are_refused(command: AnyCommand) -> None:
-    assert not _accepted(command)
-
-
-def test_a_locked_parameter_keeps_its_value_in_an_injected_design() -> None:
-    locked = SPACE.with_lock("link_2", 1.0)
-    assert check_command(InjectDesign([1.0] * 5), locked, REACHER)
-    with pytest.raises(ValueError, match="link_2 is locked at 1 m"):
-        check_command(InjectDesign([2.0] * 5), locked, REACHER)
-
-
-def test_a_design_whose_fingers_stand_in_each_other_is_refused_with_the_reason(runs_folder: Path) -> None:
+def test_a_run_of_a_hand_whose_fingers_stand_in_each_other_is_not_started(runs_folder: Path) -> None:
     hand = make_task("pen_press")
     phi = [math.pi / 2, *[0.0] * 3, *[0.2] * 4]
-    with pytest.raises(ValueError, match="fingers 1 and 2 stand 0 mm apart"):
-        check_command(InjectDesign(phi), hand.design_space, hand)
     moved = [msgspec.structs.replace(p, initial=v) for p, v in zip(hand.design_space.parameters, phi, strict=True)]
     with pytest.raises(ValueError, match="fingers 1 and 2 stand 0 mm apart"):
         Runs(runs_folder, stand_in).start(task="pen_press", parameters=moved)
@@ -414,11 +358,3 @@ def test_a_run_that_has_ended_takes_no_commands(runs_folder: Path) -> None:
     make_run(runs_folder, "run")
     with pytest.raises(ValueError, match="is stopped: resume it"):
         Runs(runs_folder).send("run", Pause())
-
-
-def _accepted(command: AnyCommand) -> bool:
-    try:
-        check_command(command, SPACE, REACHER)
-    except ValueError:
-        return False
-    return True

@@ -332,6 +332,18 @@ def test_alpha_that_was_accepted_is_in_force_before_the_next_iteration(page: Pag
     assert page.viewer.steer.alpha.value == 4.0
 
 
+def test_what_somebody_types_into_the_steering_form_stays_until_something_changes(
+    page: Page, folder: RunFolder
+) -> None:
+    page.show(folder, "paused")
+    page.viewer.steer.alpha.value = 7.0
+    page.show(folder, "paused")
+    assert page.viewer.steer.alpha.value == 7.0
+    append(folder, Acknowledged(id=1, iteration=3, accepted=True, command=SetProjection("one_sided")))
+    page.show(folder, "paused")
+    assert (page.viewer.steer.alpha.value, page.viewer.steer.projection.value) == (1.0, "one_sided")
+
+
 def test_the_design_form_sends_bounds_and_locks_together(page: Page, folder: RunFolder) -> None:
     page.show(folder, "running")
     rows = page.viewer.design.rows

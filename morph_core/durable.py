@@ -1,0 +1,101 @@
+"""Files and folders that are there whole or not at all, whenever the machine or the process goes down."""
+
+import contextlib
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+_NAME = 40
+"""How much of a target's name its drafts carry: a name that is as long as a file system allows has drafts, too."""
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file; an earlier one stays until the new one is whole."""
+    draft = _beside(path, "draft")
+    try:
+        with draft.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.rename(path)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+
+
+@contextlib.contextmanager
+def new_folder(target: Path) -> Iterator[Path]:
+    """Give a folder to be filled, which is then named `target`; OSError if one with content is there."""
+    with _draft(target) as draft:
+        yield draft
+        _sync_all(draft)
+        draft.rename(target)
+        _sync(target.parent)
+
+
+@contextlib.contextmanager
+def replaced_folder(target: Path) -> Iterator[Path]:
+    """Give a folder to be filled, which then takes the place of `target`; an earlier one stays until then.
+
+    A process that dies between the two renamings leaves the earlier one aside: `recover` brings it back.
+    """
+    old = _beside(target, "old")
+    with _draft(target) as draft:
+        yield draft
+        _sync_all(draft)
+        if target.exists():
+            target.rename(old)
+        try:
+            draft.rename(target)
+        except BaseException:
+            if old.exists():
+                old.rename(target)
+            raise
+        _sync(target.parent)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def recover(parent: Path) -> None:
+    """Tidy up a folder whose hidden entries are all of this module: what was moved aside comes back, drafts go.
+
+    Names of folders in it must be short (40 characters) and without a dot.
+    """
+    for path in sorted(parent.glob(".*"), key=lambda p: p.stat().st_mtime, reverse=True):
+        target = parent / path.name.split(".")[1]
+        if path.suffix == ".old" and not target.exists():
+            path.rename(target)
+        elif path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _beside(target: Path, suffix: str) -> Path:
+    """Return a hidden path that nobody else uses; its name says whose it is."""
+    return target.with_name(f".{target.name[:_NAME]}.{secrets.token_hex(4)}.{suffix}")
+
+
+@contextlib.contextmanager
+def _draft(target: Path) -> Iterator[Path]:
+    draft = _beside(target, "draft")
+    draft.mkdir(parents=True)
+    try:
+        yield draft
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+
+
+def _sync_all(folder: Path) -> None:
+    for path in (*folder.rglob("*"), folder):
+        _sync(path)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,23 @@
+"""How large the numbers of a new run may be: the same for form, API and command line."""
+
+LARGEST_SEED = 2**32 - 1
+MAX_ITERATIONS = 1_000_000
+
+
+def whole(name: str, value: object, lo: int, hi: int) -> int:
+    """Return a whole number in [lo, hi]; raise ValueError that says so for anything else."""
+    if isinstance(value, float) and value.is_integer():  # a browser has one kind of number
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, int) or not lo <= value <= hi:
+        raise ValueError(f"{name} must be a whole number from {lo} to {hi}, not {value!r}")
+    return value
+
+
+def seed(value: object) -> int:
+    """Return the seed of a run; raise ValueError that says what is allowed."""
+    return whole("seed", value, 0, LARGEST_SEED)
+
+
+def iterations(value: object, name: str = "iterations") -> int:
+    """Return a number of iterations; raise ValueError that says what is allowed."""
+    return whole(name, value, 1, MAX_ITERATIONS)
