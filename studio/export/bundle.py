@@ -24,7 +24,7 @@ from studio.export.errors import ExportError
 from studio.export.meshes import glb, start_posture, stl_files, three_mf
 from studio.export.mjcf import write_mjcf
 from studio.export.parts import BASE, MILLIMETRE, Part, dress, printed_parts
-from studio.export.picture import picture
+from morph_core.picture import picture
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
 from studio.export.provenance import design_space_at, provenance_of

@@ -5,7 +5,7 @@ import io
 import numpy as np
 from PIL import Image
 
-from studio.export.picture import HEIGHT, WIDTH, picture
+from morph_core.picture import HEIGHT, WIDTH, picture
 
 FAN = np.linspace(0, 2 * np.pi, 400)
 
