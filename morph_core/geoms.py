@@ -42,8 +42,8 @@ class Geoms:
         ]
 
     @property
-    def names(self) -> list[str]:
-        return [self.model.geom(i).name for i in self.ids]
+    def are_planes(self) -> list[bool]:
+        return [bool(self.model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE) for i in self.ids]
 
 
 def _is_visible(model: mujoco.MjModel, geom: int) -> bool:

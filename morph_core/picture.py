@@ -123,7 +123,7 @@ def _covered(corners: np.ndarray, width: int, height: int) -> tuple[np.ndarray, 
 
 
 def _between(low: np.ndarray, high: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first of `size` pixels whose middle is between `low` and `high` (n,), and how many are; none for NaN."""
+    """Return the first of `size` pixels whose middle is between `low` and `high` (n,), and how many; none for NaN."""
     first = np.ceil(np.clip(np.nan_to_num(low), 0, size) - 0.5).astype(int)
     last = np.floor(np.clip(np.nan_to_num(high, nan=-1.0), -1, size) - 0.5).astype(int)
     return first, np.maximum(0, last - first + 1)

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from morph_core.history import History
+from morph_core.picture import picture
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
 from morph_core.task import Task
@@ -24,7 +25,6 @@ from studio.export.errors import ExportError
 from studio.export.meshes import glb, start_posture, stl_files, three_mf
 from studio.export.mjcf import write_mjcf
 from studio.export.parts import BASE, MILLIMETRE, Part, dress, printed_parts
-from morph_core.picture import picture
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
 from studio.export.provenance import design_space_at, provenance_of
