@@ -1,4 +1,4 @@
-"""Names in Gymnasium's registry: morph/PenPress-v0 for `pen_press`, registered without loading any task."""
+"""Names in Gymnasium's registry: morph/PenPress-v0 for `pen_press`, registered on import, without loading any task."""
 
 from importlib.metadata import entry_points
 
@@ -62,3 +62,6 @@ def _is_allowed(name: str) -> bool:
     except Error:
         return False
     return True
+
+
+register_tasks()

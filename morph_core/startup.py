@@ -44,9 +44,7 @@ def _follow(loader: Any) -> None:
 
 def _register() -> None:
     try:
-        from morph_core.registration import register_tasks
-
-        register_tasks()
+        import morph_core.registration  # noqa: F401 - it registers them
     except Exception as error:  # Gymnasium must be importable whatever is the matter here
         import warnings
 

@@ -2,8 +2,6 @@
 
 from morph_core.envs.single import TaskEnv
 from morph_core.envs.vector import TaskVectorEnv
-from morph_core.registration import env_id, register_tasks
+from morph_core.registration import env_id
 
 __all__ = ["TaskEnv", "TaskVectorEnv", "env_id"]
-
-register_tasks()

@@ -102,17 +102,11 @@ def check_action(action: Any, shape: tuple[int, ...], ignored: np.ndarray | None
 
     Numbers beyond [-1, 1] are clipped by the task.
     """
-    sentence = f"an action must be {shape} finite numbers, of which more than [-1, 1] is clipped, not {action!r}"
-    try:
-        array = np.array(action, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(sentence) from None
-    if array.shape != shape:
-        raise ValueError(sentence)
-    if ignored is not None:
+    array = _numbers("an action", action)
+    if ignored is not None and array.shape == shape:
         array[ignored] = 0.0
-    if not np.isfinite(array).all():
-        raise ValueError(sentence)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"an action must be {shape} finite numbers, of which more than [-1, 1] is clipped: {action!r}")
     return array
 
 

@@ -77,12 +77,15 @@ print(json.dumps([[s.max_episode_steps for s in map(gymnasium.spec, sys.argv[1:]
     assert loaded
 
 
-def test_an_import_of_the_environments_registers_as_well_and_once() -> None:
-    program = """
-import morph_core.envs, gymnasium
+@pytest.mark.parametrize("first", ["", "import morph_core.startup"])
+@pytest.mark.parametrize("module", ["morph_core.registration", "morph_core.envs", "morph_core.envs.arguments"])
+def test_whatever_is_imported_first_registers_once(first: str, module: str) -> None:
+    program = f"""
+{first}
+import {module}, morph_core.registration, gymnasium
 before = dict(gymnasium.registry)
 import morph_core.startup
-morph_core.envs.register_tasks()
+morph_core.registration.register_tasks()
 assert dict(gymnasium.registry) == before
 print("morph/Reacher-v0" in before)
 """
