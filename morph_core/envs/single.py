@@ -30,10 +30,11 @@ class TaskEnv(Episodes, gymnasium.Env[np.ndarray, np.ndarray]):
     metadata = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012 - gymnasium's own form
 
     def __init__(self, task: Task | str, render_mode: str | None = None, **task_options: Any) -> None:
-        self._open(checked := check_task(task, task_options), 1, checked.horizon)
+        task = check_task(task, task_options)
+        self._open(task, environments=1, limit=task.horizon)
         self.render_mode = check_render_mode(render_mode)
-        self.metadata = {**self.metadata, "render_fps": 1 / self.task.control_dt}
-        self.observation_space, self.action_space = observation_space(self.task), action_space(self.task)
+        self.metadata = {**self.metadata, "render_fps": 1 / task.control_dt}
+        self.observation_space, self.action_space = observation_space(task), action_space(task)
 
     @property
     def phi(self) -> np.ndarray:
@@ -48,7 +49,7 @@ class TaskEnv(Episodes, gymnasium.Env[np.ndarray, np.ndarray]):
         ValueError, and nothing changes, where a seed, an option or a design is not allowed or can't be built.
         """
         checked = check_options(options, ["phi"])
-        phi = check_design(self.task, checked["phi"]) if "phi" in checked else self.phi
+        phi = check_design(self.task, checked.get("phi", self._phi[0]))
         number = check_seed(seed)
         self._build(phi[None])
         super().reset(seed=number)

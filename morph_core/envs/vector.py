@@ -43,12 +43,12 @@ class TaskVectorEnv(Episodes, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         max_episode_steps: int | None = None,
         **task_options: Any,
     ) -> None:
-        checked = check_task(task, task_options)
+        task = check_task(task, task_options)
         self.num_envs = check_environments(num_envs)
-        self._open(checked, self.num_envs, check_limit(max_episode_steps, checked.horizon))
+        self._open(task, self.num_envs, check_limit(max_episode_steps, task.horizon))
         self.render_mode = check_render_mode(render_mode)
-        self.metadata = {**self.metadata, "render_fps": 1 / self.task.control_dt}
-        self.single_observation_space, self.single_action_space = observation_space(self.task), action_space(self.task)
+        self.metadata = {**self.metadata, "render_fps": 1 / task.control_dt}
+        self.single_observation_space, self.single_action_space = observation_space(task), action_space(task)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._generators: list[tuple[np.random.Generator, int] | None] = [None] * self.num_envs
@@ -86,7 +86,7 @@ class TaskVectorEnv(Episodes, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             chosen = check_mask(checked["reset_mask"], self.num_envs)
             if not (self._begun | chosen).all():
                 raise ResetNeeded("some episodes have not begun: call reset() without reset_mask first")
-        phi = check_designs(self.task, checked["phi"], chosen) if "phi" in checked else self._phi
+        phi = check_designs(self.task, checked.get("phi", self._phi), chosen)
         self._build(np.where(chosen[:, None], phi, self._phi))
         self._seeded([one if mine else None for one, mine in zip(seeds, chosen, strict=True)])
         self._begin(chosen, self.np_random)
@@ -109,9 +109,7 @@ class TaskVectorEnv(Episodes, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Return a picture (h, w, 3) uint8 of each environment; nothing without a render_mode."""
         if self.render_mode is None:
-            gymnasium.logger.warn(
-                'render() shows nothing without a render_mode: make_vec(..., render_mode="rgb_array")'
-            )
+            gymnasium.logger.warn('render() shows nothing without a mode: make_vec(..., render_mode="rgb_array")')
             return None
         self._check_begun("render")
         return tuple(self._frame(i) for i in range(self.num_envs))

@@ -270,6 +270,20 @@ def test_a_hand_that_cannot_be_built_is_refused_with_the_reason_and_changes_noth
     assert np.array_equal(env.reset()[0], twin.reset()[0])
 
 
+@dataclass(frozen=True)
+class Crowded(PenPress):
+    """A hand whose initial design can't be built either."""
+
+    def check_buildable(self, phi: np.ndarray) -> None:
+        raise ValueError(f"{len(phi)} parameters are too many")
+
+
+@both
+def test_an_initial_design_that_cannot_be_built_is_refused_as_well(make: Make) -> None:
+    with pytest.raises(ValueError, match="8 parameters are too many"):
+        make(Crowded()).reset()
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
