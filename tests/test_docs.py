@@ -53,7 +53,7 @@ def test_the_readme_sets_up_with_two_commands() -> None:
 
 def test_the_readme_shows_the_example_as_it_is() -> None:
     program = EXAMPLE.read_text().split('"""\n\n', 1)[1]
-    assert _blocks(README, "python") == [program]
+    assert _blocks(README, "python")[0] == program
     assert len([line for line in program.splitlines() if line]) <= 10
 
 
@@ -67,6 +67,12 @@ def test_the_example_prints_a_line_per_iteration() -> None:
         process.wait()
         process.stdout.close()
     assert re.fullmatch(r" +1  success \d\.\d\d  links( \d\.\d\d){5} m\n", first)
+
+
+def test_what_the_readme_shows_of_gymnasium_runs() -> None:
+    program = _blocks(README, "python")[1] + "print(env.reset(seed=0)[0].shape, env.render().shape, envs.num_envs)"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert ended.stdout == "(16,) (480, 640, 3) 4\n", ended.stderr
 
 
 @pytest.mark.parametrize("folder", re.findall(r"^(\w+/(?:\w+/)?)  ", _blocks(README, "")[-1], re.MULTILINE))

@@ -13,6 +13,7 @@ import numpy as np
 from morph_core.catalogue import make_task
 from morph_core.config import flattened
 from morph_core.history import History
+from morph_core.picture import picture
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
 from morph_core.task import Task
@@ -23,7 +24,6 @@ from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
 from studio.export.meshes import glb, start_posture, three_mf
 from studio.export.mjcf import write_mjcf
-from studio.export.picture import picture
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
 from studio.export.provenance import provenance_of

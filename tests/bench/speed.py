@@ -14,9 +14,8 @@ import tyro
 from gymnasium.vector import SyncVectorEnv
 from morph_core.objective import improve_control, make_batch
 
-import morph_core.envs  # noqa: F401 - registers the tasks
-from morph_core.catalogue import make_task
 from morph_core.config import Config
+from morph_core.envs import env_id
 from morph_core.rollout import Rollout, collect
 from morph_core.state import State, start
 from morph_core.task import Task
@@ -65,8 +64,7 @@ def main(options: Speed) -> None:
     torch.set_num_threads(1)
     task = make_task(options.task)
     config = task.config
-    ids = [f"morph/{task.name.title().replace('_', '')}-v0"] * config.trajectories
-    envs = SyncVectorEnv([lambda name=name: gymnasium.make(name) for name in ids])
+    envs = SyncVectorEnv([lambda: gymnasium.make(env_id(task.name))] * config.trajectories)
     ours, theirs = start(task, config, 0), start(task, config, 0)
     seconds, steps = {"ours": 0.0, "SyncVectorEnv": 0.0}, {"ours": 0, "SyncVectorEnv": 0}
     for iteration in range(1, options.iterations + 1):

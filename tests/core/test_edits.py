@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from morph_core.catalogue import make_task
 from morph_core.edits import AnyEdit, edited
 from morph_core.history import InForce
 from morph_core.protocol import InjectDesign, Lock, SetAlpha, SetBound, SetProjection, Unlock
-from morph_core.catalogue import make_task
 
 TASKS = {name: make_task(name) for name in ("reacher", "pen_press")}
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from morph_core.catalogue import make_task
 from morph_core.edits import edited
 from morph_core.history import History, InForce
 from morph_core.protocol import (
@@ -26,7 +27,6 @@ from morph_core.protocol import (
     Unlock,
 )
 from morph_core.run_folder import EventLog, RunFolder
-from morph_core.tasks import make_task
 from tests.core.conftest import make_run
 
 TASK = make_task("reacher")

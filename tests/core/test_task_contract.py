@@ -2,13 +2,10 @@
 
 import inspect
 
-import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
-import morph_core.envs  # noqa: F401 - registers the tasks
 from morph_core.catalogue import TASKS, make_task
 from morph_core.rollout import collect
 from morph_core.task import Task
@@ -205,38 +202,3 @@ def test_robot_and_scene_compile_at_every_corner_of_the_box(task: Task) -> None:
         mujoco.mj_forward(scene, data)
         assert np.isfinite(data.geom_xpos).all()
         assert any(scene.geom(i).name.startswith("goal") for i in range(scene.ngeom))
-
-
-@pytest.mark.filterwarnings("ignore:.*Box observation space.*infinity")
-def test_gymnasium_accepts_the_environment(listed: Task) -> None:
-    check_env(gymnasium.make(_id(listed)).unwrapped)
-
-
-def test_the_vector_environment_ends_and_restarts_episodes(listed: Task) -> None:
-    env = gymnasium.make_vec(_id(listed), num_envs=N, vectorization_mode="vector_entry_point")
-    first, _ = env.reset(seed=7)
-    assert np.array_equal(first, env.reset(seed=7)[0])
-    env.action_space.seed(7)
-    ended = np.zeros(N, dtype=int)
-    for _ in range(2 * listed.horizon + 2):
-        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        assert observation in env.observation_space
-        assert not (terminated & truncated).any()
-        assert np.isfinite(reward).all()
-        assert info["success"].shape == (N,)
-        ended += terminated | truncated
-    assert (ended >= 2).all()
-
-
-def test_the_environment_takes_designs_and_refuses_wrong_ones(listed: Task) -> None:
-    env = gymnasium.make(_id(listed))
-    phi = listed.design_space.hi
-    assert env.reset(options={"phi": phi})[1]["phi"].tolist() == phi.tolist()
-    with pytest.raises(ValueError, match="must lie inside"):
-        env.reset(options={"phi": 2 * phi + 1})
-    with pytest.raises(ValueError, match="finite"):
-        env.unwrapped.step(np.full(listed.action_size, np.nan))
-
-
-def _id(task: Task) -> str:
-    return f"morph/{task.name.title().replace('_', '')}-v0"

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from morph_core.catalogue import make_task
 from morph_core.history import History, InForce
 from morph_core.protocol import (
     AnyCommand,
@@ -26,7 +27,6 @@ from morph_core.protocol import (
 from morph_core.run_folder import create_run
 from morph_core.state import start
 from morph_core.task import Task
-from morph_core.tasks import make_task
 from morph_core.train import Trainer
 from studio.commands import check_command
 

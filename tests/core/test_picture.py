@@ -5,7 +5,7 @@ import io
 import numpy as np
 from PIL import Image
 
-from studio.export.picture import HEIGHT, WIDTH, picture
+from morph_core.picture import HEIGHT, WIDTH, Camera, draw, picture, png
 
 FAN = np.linspace(0, 2 * np.pi, 400)
 
@@ -47,3 +47,18 @@ def test_a_surface_seen_from_behind_is_not_drawn() -> None:
     back = disc(0.0)[:, ::-1]
     image = painted((back, np.array([1.0, 0.0, 0.0])), (disc(-3.0), np.array([0.0, 1.0, 0.0])))
     assert not image[..., 0].any()
+
+
+def test_what_reaches_beyond_the_picture_is_cut_off() -> None:
+    high, wide = np.array([[-9.0, -9, 0], [9, -9, 0], [0, 9, 0]]), np.array([[-1.0, -1, 0], [1, 1, 0]])
+    camera = Camera.framing(wide, np.array([0.0, 0, 1]), 40, 30)
+    image = draw([(high[None], np.array([1.0, 0, 0]))], camera)
+    assert image.shape == (30, 40, 4)
+    assert (image[..., 3] == 255).all()
+    beside = draw([(high[None] + [30, 0, 0], np.array([1.0, 0, 0])), (high[None] - [0, 0, 9], np.zeros(3))], camera)
+    assert not beside[..., 0].any()
+
+
+def test_the_same_pixels_come_back_from_a_png() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (5, 7, 4), dtype=np.uint8)
+    assert np.array_equal(np.array(Image.open(io.BytesIO(png(image)))), image)
