@@ -229,7 +229,7 @@ def test_a_replacement_that_fails_half_way_puts_the_earlier_export_back(
     rename = Path.rename
 
     def failing(self: Path, target: Path) -> Path:
-        if self.name == "new":
+        if self.suffix == ".draft":
             raise OSError(5, "Input/output error")
         return rename(self, target)
 
