@@ -91,7 +91,7 @@ def quantities_of(history: History) -> list[Quantity]:
     found: dict[tuple[str, Unit], list[Entry]] = {}
     for i, p in enumerate(history.design_space.parameters):
         part, colour = known.get(p.name, (p.part, COLOURS[i % len(COLOURS)]))
-        words = (p.part or part or p.name).replace("_", " ")
+        words = (part or p.name).replace("_", " ")
         found.setdefault((split_name(p.name)[0], unit_of(p)), []).append(Entry(i, words, colour, p.scale))
     return [Quantity(name, unit, tuple(entries)) for (name, unit), entries in found.items()]
 

@@ -24,6 +24,7 @@ from morph_core.task import Task
 from studio.cli.verify import main as verify_main
 from studio.export.bundle import Bundle, build_bundle, check_formats, default_formats
 from studio.export.check import Check
+from studio.export.control import control_settings
 from studio.export.errors import ExportError
 from studio.export.place import write_bundle
 from studio.export.policy import Policy
@@ -341,7 +342,8 @@ def test_links_have_names_of_their_own_and_those_of_the_urdf() -> None:
     model = spec.compile()
     names = link_names(model)
     assert len(set(names)) == 5
-    assert names[0] == "base"
+    assert names[:2] == ["base", "body_1"]
+    assert list(control_settings(model, model)["links"]) == names[1:]
     urdf = write_urdf(model, "robot.urdf", "robot")["robot.urdf"].decode()
     assert all(f'<link name="{name}"' in urdf for name in names)
     assert [body_of(model, name) for name in names] == list(range(5))
