@@ -7,9 +7,13 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import morph_core.envs  # noqa: F401 - registers the tasks
+from morph_core.catalogue import METHODS, TASKS, make_method, make_task
+from morph_core.contract import check_task
+from morph_core.method import Method
 from morph_core.rollout import collect
+from morph_core.state import start
 from morph_core.task import Task
-from morph_core.catalogue import TASKS, make_task
+from tests.core.conftest import SMALL
 
 N = 6
 
@@ -29,6 +33,30 @@ def test_names_units_and_the_initial_design_are_there(task: Task) -> None:
     assert task.title
     assert all(p.name and p.unit for p in task.design_space.parameters)
     task.design_space.check(task.design_space.initial)
+
+
+def test_the_check_that_plug_ins_must_pass_accepts_it(task: Task) -> None:
+    check_task(task)
+
+
+def test_what_is_tuned_for_it_is_what_a_run_of_it_gets(task: Task) -> None:
+    tuned = {settings.name: settings for settings in task.tuned if isinstance(settings, Method)}
+    assert set(tuned) == {"morph", "direct", "no_hw_opt"} <= set(METHODS)
+    for name, settings in tuned.items():
+        assert make_method(name, task) == settings
+        settings.check(task)
+
+
+def test_it_says_whether_it_runs_in_the_proxys_world(task: Task) -> None:
+    hw_nn, rng = start(task, SMALL, 0).hw_nn, np.random.default_rng(0)
+    s = task.reset(task.hw_phy(task.design_space.initial), N, rng)
+    action = rng.uniform(-1, 1, (N, task.action_size))
+    if task.runs_on_proxy:
+        step = task.step(hw_nn, s, action)
+        assert np.array_equal(step.z, hw_nn(s, step.a))
+    else:
+        with pytest.raises(ValueError, match="not in the proxy's world"):
+            task.step(hw_nn, s, action)
 
 
 def test_shapes_are_as_declared(task: Task) -> None:
