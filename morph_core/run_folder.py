@@ -67,7 +67,7 @@ class RunFolder:
     # --- reading ---
 
     def record(self) -> RunRecord:
-        """Raise RunFolderError if run.json is missing, foreign, damaged, or of a format that is newer than this code."""
+        """Raise RunFolderError if run.json is missing, foreign, damaged, or of a format newer than this version."""
         try:
             written = (self.path / "run.json").read_bytes()
             if (found := protocol.format_of(written)) > protocol.FORMAT:
