@@ -13,6 +13,7 @@ import torch
 
 from morph_core.catalogue import EXPLORATIONS, METHODS, SEARCHES, configured, read_method
 from morph_core.config import paths_of
+from morph_core.evaluate import evaluate_run
 from morph_core.explorations.design import Design
 from morph_core.explorations.gaussian import Gaussian
 from morph_core.format_1 import RENAMED, translated
@@ -219,9 +220,7 @@ def test_a_recorded_run_opens_with_its_settings_events_and_episode(run: RunFolde
 
 
 def test_a_recorded_run_evaluates_as_it_did(run: RunFolder, name: str) -> None:
-    command = [sys.executable, "-m", "morph_core.evaluate", "--run", str(run.path), "--design", "latest"]
-    ended = subprocess.run([*command, "--episodes", "4"], capture_output=True, text=True, check=True)
-    document = json.loads(ended.stdout)
+    document: dict[str, Any] = evaluate_run(run, "latest", 4)
     returns = [document[policy]["episode_return"] for policy in ("sampled", "deterministic")]
     assert returns == as_recorded(RUNS[name].sampled, RUNS[name].deterministic)
 
