@@ -13,7 +13,7 @@ Projection = Literal["none", "one_sided", "as_printed"]
 Utility = Literal["standardised", "log_rank"]
 
 LARGEST = 2**53
-"""The largest number, up to the sign: beyond it browsers and floats no longer tell whole numbers apart."""
+"""The largest whole number, up to the sign: beyond it browsers and floats no longer tell them apart."""
 
 Count = Annotated[int, Meta(ge=1)]
 CountOrNone = Annotated[int, Meta(ge=0)]
@@ -77,7 +77,7 @@ def check_value(name: str, annotation: Any, value: object) -> object:
         raise ValueError(f"{name} must be {'a whole number' if bare is int else 'a number'}, not {value!r}")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{name} must be finite, not {value}")
-    if abs(value) > LARGEST:
+    if isinstance(value, int) and abs(value) > LARGEST:
         raise ValueError(f"{name} must be {'at most ' if value > 0 else 'at least -'}{LARGEST}")
     if meta:
         _check_range(name, meta, value)

@@ -213,6 +213,9 @@ AnyEvent = StateChanged | Progress | Evaluation | Acknowledged | DesignSpaceChan
 
 # --- Snapshots and records --------------------------------------------------------------------------------------------
 
+FORMAT = 2
+"""The newest format of run.json that this version knows, and the one that it writes."""
+
 
 class Heartbeat(msgspec.Struct, frozen=True):
     """What the trainer does right now; rewritten every second."""
@@ -265,6 +268,12 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     parent: Parent | None = None
 
 
+class _Format(msgspec.Struct, frozen=True):
+    """What any format of run.json says of itself."""
+
+    format: int = 1
+
+
 _encoder = msgspec.json.Encoder()
 _FORMAT_1 = {"truncations": "diverged", "rollout": "episode"}
 """Fields of events as format 1 of a run called them -> as they are called now."""
@@ -272,6 +281,7 @@ _WRITTEN_BY_FORMAT_1 = re.compile(rb'"(%s)":' % b"|".join(name.encode() for name
 _events = msgspec.json.Decoder(AnyEvent)
 _orders = msgspec.json.Decoder(Order)
 _records = msgspec.json.Decoder(RunRecord)
+_formats = msgspec.json.Decoder(_Format)
 _heartbeats = msgspec.json.Decoder(Heartbeat)
 
 
@@ -297,6 +307,11 @@ def decode_order(text: bytes | str) -> Order:
 def decode_record(text: bytes | str) -> RunRecord:
     """Raise msgspec.DecodeError (ValidationError) on anything that is not a run.json."""
     return _records.decode(text)
+
+
+def format_of(text: bytes | str) -> int:
+    """Return the format of a run.json, whatever else that format holds; msgspec.DecodeError on anything else."""
+    return _formats.decode(text).format
 
 
 def decode_heartbeat(text: bytes | str) -> Heartbeat:

@@ -67,9 +67,15 @@ class RunFolder:
     # --- reading ---
 
     def record(self) -> RunRecord:
-        """Raise RunFolderError if run.json is missing, foreign or damaged."""
+        """Raise RunFolderError if run.json is missing, foreign, damaged, or of a format newer than this version."""
         try:
-            record = protocol.decode_record((self.path / "run.json").read_bytes())
+            written = (self.path / "run.json").read_bytes()
+            if (found := protocol.format_of(written)) > protocol.FORMAT:
+                raise RunFolderError(
+                    f"run.json of {self.id} has format {found}; this version knows up to {protocol.FORMAT}: "
+                    "open it with a newer morph-studio"
+                )
+            record = protocol.decode_record(written)
         except FileNotFoundError:
             raise RunFolderError(f"{self.id} has no run.json: not a run folder") from None
         except (OSError, msgspec.DecodeError) as error:

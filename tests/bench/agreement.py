@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from morph_core.derive import Search
 
 from morph_core import morph as method
 from morph_core.catalogue import make_task

@@ -13,7 +13,6 @@ from typing import Literal
 import numpy as np
 import torch
 import tyro
-from morph_core.objective import improve_control, make_batch, set_learning_rates
 
 from morph_core.checkpoint import load_checkpoint
 from morph_core.networks import Policy

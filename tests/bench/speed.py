@@ -12,7 +12,6 @@ import numpy as np
 import torch
 import tyro
 from gymnasium.vector import SyncVectorEnv
-from morph_core.objective import improve_control, make_batch
 
 from morph_core.config import Config
 from morph_core.envs import env_id

@@ -1,24 +1,49 @@
-"""Small settings, a fragile arm and run folders for the core's tests."""
+"""Small methods, a fragile arm and run folders for the core's tests."""
 
 import dataclasses
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from morph_core.catalogue import make_task
-from morph_core.config import Config
-from morph_core.protocol import RunRecord
+from morph_core.catalogue import configured, make_task
+from morph_core.config import recorded
+from morph_core.method import Method
+from morph_core.methods.direct import Direct
+from morph_core.methods.no_hw_opt import NoHwOpt
+from morph_core.methods.proxy import Morph
+from morph_core.parts import Evaluation, Ppo, ProxyFit, Schedule
+from morph_core.protocol import FORMAT, RunRecord
 from morph_core.run_folder import RunFolder, create_run
+from morph_core.searches.cma import Cma
+from morph_core.searches.drift import Drift
+from morph_core.searches.gradient import Gradient
 from morph_core.task import Hardware, Transition
 from morph_core.tasks.reacher import Reacher
 
-SMALL = Config(
-    trajectories=8, epochs=2, minibatches=2, hidden=16, proxy_prefit=20, search_pairs=32, search_generations=3,
-    evaluation_interval=2, evaluation_episodes=4, schedule_iterations=10,
-)  # fmt: skip
+_NO_HW_OPT = NoHwOpt(
+    trajectories=8,
+    hidden=16,
+    schedule=Schedule(iterations=10),
+    ppo=Ppo(epochs=2, minibatches=2),
+    evaluation=Evaluation(interval=2, episodes=4),
+)
+SMALL = Morph(**vars(_NO_HW_OPT), proxy=ProxyFit(prefit=20), search=Cma(pairs=32, generations=3))
+_SMALL: Mapping[str, Method] = {method.name: method for method in (SMALL, Direct(**vars(_NO_HW_OPT)), _NO_HW_OPT)}
+
+
+def small_method(name: str = "morph", settings: Mapping[str, object] | None = None) -> Method:
+    """Return a method whose iterations take milliseconds, with settings under dotted names on top."""
+    return configured(_SMALL[name], settings or {}, (Drift(pairs=32), Gradient(pairs=32)))
+
+
+def small_morph(settings: Mapping[str, object] | None = None) -> Morph:
+    """Return the method of the paper with iterations of milliseconds, with settings under dotted names on top."""
+    method = small_method("morph", settings)
+    assert isinstance(method, Morph)
+    return method
 
 
 @dataclass(frozen=True)
@@ -37,18 +62,13 @@ class Fragile(Reacher):
         return dataclasses.replace(step, z=z, diverged=broken, terminated=step.terminated & ~broken)
 
 
-@pytest.fixture
-def small() -> Config:
-    """A config whose iterations take milliseconds."""
-    return SMALL
-
-
 def make_run(
-    runs: Path, name: str = "run", method: str = "morph", seed: int = 0, iterations: int = 6, config: Config = SMALL
+    runs: Path, name: str = "run", method: Method = SMALL, seed: int = 0, iterations: int = 6, format: int = FORMAT
 ) -> RunFolder:
     """Return a fresh run folder of the reacher."""
     record = RunRecord(
-        id=name, task="reacher", method=method, seed=seed, iterations=iterations, config=dataclasses.asdict(config),
-        parameters=list(make_task("reacher").design_space.parameters), versions={}, created=time.time(),
+        format=format, id=name, task="reacher", method=method.name, seed=seed, iterations=iterations,
+        config=recorded(method), parameters=list(make_task("reacher").design_space.parameters), versions={},
+        created=time.time(),
     )  # fmt: skip
     return create_run(runs, record)

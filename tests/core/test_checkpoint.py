@@ -1,6 +1,5 @@
 """Checkpoints: whole or not at all, and never a surprise on load."""
 
-import dataclasses
 import itertools
 from pathlib import Path
 
@@ -12,8 +11,7 @@ from morph_core.catalogue import make_task
 from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.state import State, start
-from morph_core.train import METHODS
-from tests.core.conftest import SMALL, make_run
+from tests.core.conftest import SMALL, make_run, small_method
 
 TASK = make_task("reacher")
 
@@ -22,7 +20,7 @@ TASK = make_task("reacher")
 def saved(tmp_path: Path) -> tuple[RunFolder, State]:
     """A run folder with the checkpoint of one iteration, and its state."""
     folder, state = make_run(tmp_path), start(TASK, SMALL, 0)
-    next(METHODS["morph"](TASK, SMALL, state))
+    next(SMALL.iterations(TASK, state))
     save_checkpoint(folder, state, 1.5)
     return folder, state
 
@@ -34,24 +32,25 @@ def test_a_checkpoint_brings_back_everything(saved: tuple[RunFolder, State]) -> 
     assert (loaded.iteration, loaded.env_steps, loaded.alpha, loaded.fitted) == (1, state.env_steps, 1.0, True)
     assert loaded.phi.tolist() == state.phi.tolist()
     assert loaded.rng.bit_generator.state == state.rng.bit_generator.state
-    again, expected = (next(METHODS["morph"](TASK, SMALL, s)) for s in (loaded, state))
+    again, expected = (next(SMALL.iterations(TASK, s)) for s in (loaded, state))
     assert again == expected
 
 
 @pytest.mark.parametrize("iterations", [1, 2, 3])
 def test_a_run_with_a_reference_goes_on_bit_for_bit(tmp_path: Path, iterations: int) -> None:
-    config = dataclasses.replace(SMALL, search="drift", design_interval=2, drift_designs=8)  # 2: right after a search
-    folder, state = make_run(tmp_path, config=config), start(TASK, config, 0)
-    for _ in itertools.islice(METHODS["morph"](TASK, config, state), iterations):
+    method = small_method("morph", {"search": "drift", "design_interval": 2, "search.designs": 8})
+    folder, state = make_run(tmp_path, method=method), start(TASK, method, 0)
+    for _ in itertools.islice(method.iterations(TASK, state), iterations):  # 2: right after a search
         pass
     state.diverged = 7
     save_checkpoint(folder, state, 1.5)
-    loaded, _ = load_checkpoint(folder, iterations, TASK, config)
+    loaded, _ = load_checkpoint(folder, iterations, TASK, method)
     assert (loaded.relabelled_steps, loaded.diverged) == (state.relabelled_steps, 7)
-    again, expected = (list(itertools.islice(METHODS["morph"](TASK, config, s), 3)) for s in (loaded, state))
+    again, expected = (list(itertools.islice(method.iterations(TASK, s), 3)) for s in (loaded, state))
     assert again == expected
-    for name, module in state.learner.modules.items():
-        assert all(torch.equal(loaded.learner.modules[name].state_dict()[k], v) for k, v in module.state_dict().items())
+    assert set(state.modules) == {"policy", "critic", "proxy", "reference"}
+    for name, module in state.modules.items():
+        assert all(torch.equal(loaded.modules[name].state_dict()[k], v) for k, v in module.state_dict().items())
 
 
 def test_a_checkpoint_without_the_reference_that_the_search_needs_is_refused(
@@ -59,7 +58,7 @@ def test_a_checkpoint_without_the_reference_that_the_search_needs_is_refused(
 ) -> None:
     folder, _ = saved
     with pytest.raises(RunFolderError, match="can't be read"):
-        load_checkpoint(folder, 1, TASK, dataclasses.replace(SMALL, search="drift"))
+        load_checkpoint(folder, 1, TASK, small_method("morph", {"search": "drift"}))
 
 
 def test_saving_the_same_iteration_again_replaces_it(saved: tuple[RunFolder, State]) -> None:
@@ -84,7 +83,7 @@ def test_a_damaged_checkpoint_is_an_error_and_an_older_one_stands_in(
     saved: tuple[RunFolder, State], damage: str
 ) -> None:
     folder, state = saved
-    next(METHODS["morph"](TASK, SMALL, state))
+    next(SMALL.iterations(TASK, state))
     save_checkpoint(folder, state, 2.0)
     path = folder.checkpoint(2)
     match damage:
@@ -112,7 +111,7 @@ def test_a_value_that_is_not_finite_is_noticed() -> None:
     state = start(TASK, SMALL, 0)
     assert all_finite(state)
     with torch.no_grad():
-        next(state.learner.proxy.parameters())[0] = torch.nan
+        next(state.hw_nn.proxy.parameters())[0] = torch.nan
     assert not all_finite(state)
     state = start(TASK, SMALL, 0)
     state.phi = np.full(5, np.inf)

@@ -1,6 +1,5 @@
 """What counts in a hand's task: each term of the reward, what lifted, pressed and in the hand mean, what is refused."""
 
-import dataclasses
 import itertools
 from typing import Any
 
@@ -12,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import morph_core.envs  # noqa: F401 - registers the tasks
-from morph_core.config import Config
-from morph_core.task import Transition, check_settings
+from morph_core.catalogue import make_method
+from morph_core.task import Transition
 from morph_core.tasks.pen_press import PenPress
 from morph_core.tasks.simulation import SENSOR_SIZE, HandPhysics, Outcome
 
@@ -159,7 +158,7 @@ def test_held_is_half_of_the_last_ten_steps(last: str, held: bool) -> None:
     ("options", "message"),
     [({"grasp": "three"}, "choose from: any_two, two_besides_presser"), ({"servo": "huge"}, "choose from: none, mg90s"),
      ({"initial_length": 0.5}, "must lie inside"),
-     ({"initial_length": float("nan")}, "initial_length must be a finite number"), ({"goal_bonus": -1.0}, "goal_bonus"),
+     ({"initial_length": float("nan")}, "initial_length must be finite, not nan"), ({"goal_bonus": -1.0}, "goal_bonus"),
      ({"mass": True}, "mass"), ({"travel": "far"}, "travel")],
 )  # fmt: skip
 def test_options_that_make_no_sense_are_refused(options: dict[str, Any], message: str) -> None:
@@ -168,11 +167,11 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, Any], message
 
 
 def test_hands_are_explored_by_design_and_searched_without_a_gradient() -> None:
-    check_settings(TASK, TASK.config)
-    with pytest.raises(ValueError, match='can\'t be explored by "gaussian"; choose from: design'):
-        check_settings(TASK, Config(exploration="gaussian"))
+    make_method("morph", TASK).check(TASK)
+    with pytest.raises(ValueError, match=r'can\'t be explored by "gaussian": .*; choose from: "design"$'):
+        make_method("morph", TASK, {"exploration": "gaussian"})
     with pytest.raises(ValueError, match='has no gradient in phi: search by "cma" or "drift"'):
-        check_settings(TASK, dataclasses.replace(TASK.config, search="gradient"))
+        make_method("morph", TASK, {"search": "gradient"})
 
 
 def test_hands_do_not_run_in_the_proxys_world() -> None:

@@ -1,6 +1,5 @@
 """Hw-Phy of a hand: bitwise repeatable, whole in s, able to lift, and calm about what can't be simulated."""
 
-import dataclasses
 import itertools
 import os
 from dataclasses import dataclass
@@ -10,15 +9,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from morph_core.catalogue import make_method
 from morph_core.checkpoint import all_finite
-from morph_core.config import Config
 from morph_core.episodes import evaluate
+from morph_core.method import Method
 from morph_core.rollout import collect
 from morph_core.state import start
 from morph_core.task import Hardware, Transition
 from morph_core.tasks.pen_press import PenPress
 from morph_core.tasks.simulation import SUBSTEPS
-from morph_core.train import METHODS
+from tests.core.conftest import SMALL, small_method
 
 TASK = PenPress()
 JOINTS, NQ = 9, 17
@@ -52,10 +52,11 @@ def play(task: PenPress, hw_phy: Hardware, s: np.ndarray, seed: int, steps: int)
     return taken
 
 
-def make_config(small: Config, **changes: object) -> Config:
-    """Return small settings in which a hand learns nothing, quickly."""
-    quick = {"proxy_prefit": 2, "proxy_pairs": 32, "drift_designs": 8, "search_pairs": 16, "search_population": 4}
-    return dataclasses.replace(small, **{"search": "drift", **quick, **changes})  # pyright: ignore[reportArgumentType]
+def quick(sigma: float, search: str = "drift") -> Method:
+    """Return a method by which a hand learns nothing, quickly; the designs keep their Sigma."""
+    few = {"search.designs": 8} if search == "drift" else {"search.population": 4}
+    proxy = {"proxy.prefit": 2, "proxy.pairs": 32, "search": search, "search.pairs": 16}
+    return small_method("morph", {**proxy, **few, "exploration.sigma": sigma, "exploration.sigma_end": sigma})
 
 
 def grasp(task: PenPress, environments: int) -> list[Transition]:
@@ -242,9 +243,9 @@ class Explosive(PenPress):
         return s
 
 
-def test_an_evaluation_counts_an_explosion_as_a_failure(small: Config) -> None:
+def test_an_evaluation_counts_an_explosion_as_a_failure() -> None:
     task = Explosive()
-    policy = start(task, small, 0).learner.policy
+    policy = start(task, SMALL, 0).control.policy
     score, rollout = evaluate(task, policy, task.design_space.initial, 8, np.random.default_rng(0), sampled=True)
     assert (score.diverged, rollout.alive.shape[1]) == (1, 7)
     assert np.isfinite(score.episode_return)
@@ -257,37 +258,38 @@ def test_a_hand_long_enough_learns_to_hold_the_pen(budget: float) -> None:
     """At .26 m every finger reaches the button; some seeds learn it late or never, so the best of three counts."""
     task, best = PenPress(initial_length=0.26), 0.0
     for seed in range(3):
-        state = start(task, task.config, seed)
-        for progress in METHODS["no_hw_opt"](task, task.config, state):
+        method = make_method("no_hw_opt", task)
+        state = start(task, method, seed)
+        for progress in method.iterations(task, state):
             if progress.env_steps >= budget:
                 break
         rng = np.random.default_rng(seed)
-        best = max(best, evaluate(task, state.learner.policy, state.phi, 64, rng, sampled=True)[0].success)
+        best = max(best, evaluate(task, state.control.policy, state.phi, 64, rng, sampled=True)[0].success)
         if best >= 0.8:
             break
     assert best >= 0.8
 
 
 @pytest.mark.parametrize("search", ["drift", "cma"])
-def test_no_run_dies_of_designs_that_can_not_be_simulated(small: Config, search: str) -> None:
-    task = Explosive()
-    config = make_config(small, search=search, design_sigma=5.0, design_sigma_end=5.0)  # half of them interpenetrate
-    state = start(task, config, 0)
-    progress = list(itertools.islice(METHODS["morph"](task, config, state), 3))
-    assert 3 <= state.diverged <= 3 * config.trajectories - 6
+def test_no_run_dies_of_designs_that_can_not_be_simulated(search: str) -> None:
+    task, method = Explosive(), quick(5.0, search)  # half of the designs interpenetrate
+    state = start(task, method, 0)
+    progress = list(itertools.islice(method.iterations(task, state), 3))
+    assert 3 <= state.diverged <= 3 * method.trajectories - 6
     assert all(np.isfinite([p.episode_return, p.divergence or 0, p.search_cost or 0]).all() for p in progress)
     assert all_finite(state)
     task.design_space.check(state.phi)
 
 
-def test_a_run_on_a_design_that_can_not_be_simulated_waits_for_a_better_one(small: Config) -> None:
-    state = start(TASK, make_config(small, design_sigma=0.01, design_sigma_end=0.01), 0)
+def test_a_run_on_a_design_that_can_not_be_simulated_waits_for_a_better_one() -> None:
+    method = quick(0.01)
+    state = start(TASK, method, 0)
     state.phi = state.design_space.clip(np.where(np.arange(8) == 0, np.pi / 2, state.phi))
-    iterations = METHODS["morph"](TASK, make_config(small, design_sigma=0.01, design_sigma_end=0.01), state)
+    iterations = method.iterations(TASK, state)
     assert next(iterations).divergence is None
-    assert state.diverged == small.trajectories
+    assert state.diverged == method.trajectories
     state.phi = TASK.design_space.initial
     state.fitted = False
     assert next(iterations).divergence is not None
-    assert state.diverged == small.trajectories
+    assert state.diverged == method.trajectories
     assert all_finite(state)

@@ -1,32 +1,29 @@
 """Algorithm 1 and its baselines as generators: what they yield, what they obey."""
 
 import copy
-import dataclasses
 import itertools
+from collections.abc import Mapping
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
-from morph_core.objective import cosine_by_parameter, fit_proxy
 from torch import nn
 
-from morph_core.catalogue import make_task
+from morph_core.catalogue import METHODS, make_method, make_task
 from morph_core.checkpoint import all_finite
-from morph_core.config import Config
+from morph_core.divergence import divergence
+from morph_core.hw_nn import cosine_by_parameter
 from morph_core.protocol import Progress
-from morph_core.state import State, start
-from morph_core.train import METHODS
-from tests.core.conftest import Fragile
+from morph_core.state import start
+from tests.core.conftest import SMALL, Fragile, small_method, small_morph
 
 TASK = make_task("reacher")
-PREFIT_PAIRS = 512
-"""Of each supervised step that fits the proxy before line 1."""
 
 
-def run(method: str, config: Config, iterations: int, state: State | None = None, seed: int = 0) -> list[Progress]:
-    state = state or start(TASK, config, seed)
-    return list(itertools.islice(METHODS[method](TASK, config, state), iterations))
+def run(method: str, iterations: int, seed: int = 0, settings: Mapping[str, object] | None = None) -> list[Progress]:
+    chosen = small_method(method, settings)
+    return list(itertools.islice(chosen.iterations(TASK, start(TASK, chosen, seed)), iterations))
 
 
 def same_weights(first: nn.Module, second: nn.Module) -> bool:
@@ -34,28 +31,28 @@ def same_weights(first: nn.Module, second: nn.Module) -> bool:
 
 
 @pytest.mark.parametrize("method", sorted(METHODS))
-def test_a_method_yields_one_progress_per_iteration_and_repeats_itself(method: str, small: Config) -> None:
-    once, again = run(method, small, 3), run(method, small, 3)
+def test_a_method_yields_one_progress_per_iteration_and_repeats_itself(method: str) -> None:
+    once, again = run(method, 3), run(method, 3)
     assert [p.iteration for p in once] == [1, 2, 3]
     assert [p.phi for p in once] == [p.phi for p in again]
-    assert once[-1].env_steps == 3 * small.trajectories * TASK.horizon
+    assert once[-1].env_steps == 3 * SMALL.trajectories * TASK.horizon
     for progress in once:
         TASK.design_space.check(progress.phi)
 
 
-def test_seeds_differ(small: Config) -> None:
-    assert run("morph", small, 2, seed=0)[-1].phi != run("morph", small, 2, seed=1)[-1].phi
+def test_seeds_differ() -> None:
+    assert run("morph", 2, seed=0)[-1].phi != run("morph", 2, seed=1)[-1].phi
 
 
-def test_morph_and_direct_move_phi_and_no_hw_opt_does_not(small: Config) -> None:
+def test_morph_and_direct_move_phi_and_no_hw_opt_does_not() -> None:
     initial = TASK.design_space.initial.tolist()
-    assert run("morph", small, 2)[-1].phi != initial
-    assert run("direct", small, 2)[-1].phi != initial
-    assert run("no_hw_opt", small, 2)[-1].phi == initial
+    assert run("morph", 2)[-1].phi != initial
+    assert run("direct", 2)[-1].phi != initial
+    assert run("no_hw_opt", 2)[-1].phi == initial
 
 
-def test_the_gaussian_exploration_runs_in_the_proxys_world(small: Config) -> None:
-    progress = run("morph", dataclasses.replace(small, exploration="gaussian"), 2)[-1]
+def test_the_gaussian_exploration_runs_in_the_proxys_world() -> None:
+    progress = run("morph", 2, settings={"exploration": "gaussian"})[-1]
     assert progress.design_sigma is None
     assert progress.cosine is not None
     assert np.isfinite(progress.episode_return)
@@ -63,22 +60,22 @@ def test_the_gaussian_exploration_runs_in_the_proxys_world(small: Config) -> Non
 
 @pytest.mark.parametrize("z", ["joints", "tip"])
 @pytest.mark.parametrize("exploration", ["design", "gaussian"])
-def test_every_z_and_exploration_go_together(z: str, exploration: str, small: Config) -> None:
+def test_every_z_and_exploration_go_together(z: str, exploration: str) -> None:
     task = make_task("reacher", {"z": z, "tunnel": "paper"})
-    config = dataclasses.replace(small, exploration=exploration)
-    progress = next(METHODS["morph"](task, config, start(task, config, 0)))
+    method = small_method("morph", {"exploration": exploration})
+    progress = next(method.iterations(task, start(task, method, 0)))
     assert np.isfinite(progress.divergence or np.nan)
     assert len(progress.cosine_by_parameter or []) == 5
 
 
-def test_phi_is_searched_for_every_k_iterations(small: Config) -> None:
-    costs = [p.search_cost for p in run("morph", dataclasses.replace(small, design_interval=3), 6)]
+def test_phi_is_searched_for_every_k_iterations() -> None:
+    costs = [p.search_cost for p in run("morph", 6, settings={"design_interval": 3})]
     assert [c is not None for c in costs] == [False, False, True, False, False, True]
 
 
-def test_locks_and_bounds_hold_while_the_caller_edits_the_state(small: Config) -> None:
-    state = start(TASK, small, 0)
-    iterations = METHODS["morph"](TASK, small, state)
+def test_locks_and_bounds_hold_while_the_caller_edits_the_state() -> None:
+    state = start(TASK, SMALL, 0)
+    iterations = SMALL.iterations(TASK, state)
     next(iterations)
     state.design_space = state.design_space.with_lock("link_1", 2.0).with_bound("link_2", 0.5, 0.9)
     state.phi = state.design_space.clip(state.phi)
@@ -87,26 +84,26 @@ def test_locks_and_bounds_hold_while_the_caller_edits_the_state(small: Config) -
         assert 0.5 <= progress.phi[1] <= 0.9
 
 
-def test_an_edited_alpha_is_in_force_in_the_next_iteration(small: Config) -> None:
-    state = start(TASK, small, 0)
-    iterations = METHODS["morph"](TASK, small, state)
+def test_an_edited_alpha_is_in_force_in_the_next_iteration() -> None:
+    state = start(TASK, SMALL, 0)
+    iterations = SMALL.iterations(TASK, state)
     assert next(iterations).alpha == 1.0
     state.alpha = 50.0
     heavy = next(iterations)
     assert heavy.alpha == 50.0
 
 
-def test_the_prefit_brings_the_proxy_to_hw_phy(small: Config) -> None:
-    config = dataclasses.replace(small, hidden=64, proxy_prefit=300)
-    state = start(TASK, config, 0)
+def test_the_prefit_brings_the_proxy_to_hw_phy() -> None:
+    state = start(TASK, small_method("morph", {"hidden": 64, "proxy.prefit": 300}), 0)
     s, a = TASK.sample_pairs(256, np.random.default_rng(1))
     true = TASK.hw_phy(state.phi)(s, a)
 
     def error() -> float:
-        return float(((state.learner.proxy.hardware(s, a) - true) ** 2).sum(-1).mean())
+        return float(divergence(state.hw_nn(s, a), true))
 
     before = error()
-    fit_proxy(TASK, state, config)
+    state.fit_proxy(TASK)
+    assert state.fitted
     assert error() < 0.02 * before
 
 
@@ -124,25 +121,26 @@ def test_the_cosine_of_a_parameter_is_that_along_what_it_moves() -> None:
     assert cosine_by_parameter(lambda s, _: s, s, a, direction, direction) is None
 
 
-def test_by_drift_the_proxy_is_paired_with_a_reference_and_settles_after_each_search(small: Config) -> None:
-    config = dataclasses.replace(small, search="drift", design_interval=2, drift_designs=8)
-    state = start(TASK, config, 0)
-    iterations = METHODS["morph"](TASK, config, state)
+def test_by_drift_the_proxy_is_paired_with_a_reference_and_settles_after_each_search() -> None:
+    method = small_morph({"search": "drift", "design_interval": 2, "search.designs": 8})
+    state = start(TASK, method, 0)
+    iterations = method.iterations(TASK, state)
     assert next(iterations).search_cost is None
-    proxy, reference = state.learner.modules["proxy"], state.learner.modules["reference"]
+    proxy, reference = state.modules["proxy"], state.modules["reference"]
     assert not same_weights(proxy, reference)  # the task has drawn one of them
     second = next(iterations)
     assert second.search_cost is not None
     assert second.phi != TASK.design_space.initial.tolist()
     assert same_weights(proxy, reference)
-    searched = (config.drift_designs + 1) * config.search_pairs
-    assert state.relabelled_steps == config.proxy_prefit * PREFIT_PAIRS + state.env_steps + searched
+    searched = (8 + 1) * method.search.pairs
+    assert state.relabelled_steps == method.proxy.prefit * method.proxy.prefit_pairs + state.env_steps + searched
 
 
 @pytest.mark.parametrize("method", ["morph", "direct"])
-def test_where_phi_is_frozen_it_stays_and_every_episode_runs_on_it(method: str, small: Config) -> None:
-    state = start(TASK, small, 0)
-    iterations = METHODS[method](TASK, small, state)
+def test_where_phi_is_frozen_it_stays_and_every_episode_runs_on_it(method: str) -> None:
+    chosen = small_method(method)
+    state = start(TASK, chosen, 0)
+    iterations = chosen.iterations(TASK, state)
     progress = [next(iterations), next(iterations)]
     state.frozen = True
     progress += itertools.islice(iterations, 3)
@@ -153,63 +151,65 @@ def test_where_phi_is_frozen_it_stays_and_every_episode_runs_on_it(method: str, 
 
 
 @pytest.mark.parametrize(("success", "frozen"), [(0.5, True), (0.49, False)])
-def test_phi_is_frozen_once_enough_trajectories_succeed(success: float, frozen: bool, small: Config) -> None:
-    state = start(TASK, small, 0)
-    rollout = SimpleNamespace(steps=1, diverged=0, success_rate=success)
-    state.advance(1, rollout, dataclasses.replace(small, freeze_success=0.5))  # pyright: ignore
+def test_phi_is_frozen_once_enough_trajectories_succeed(success: float, frozen: bool) -> None:
+    state = start(TASK, SMALL, 0)
+    rollout = SimpleNamespace(steps=1, diverged=0, success_rate=success, mean_return=0.0)
+    state.advance(1, rollout, freeze_success=0.5)  # pyright: ignore[reportArgumentType]
     assert state.frozen == frozen
-    state.advance(2, SimpleNamespace(steps=1, diverged=0, success_rate=0.0), small)  # pyright: ignore
+    rollout = SimpleNamespace(steps=1, diverged=0, success_rate=0.0, mean_return=0.0)
+    state.advance(2, rollout, freeze_success=0.5)  # pyright: ignore[reportArgumentType]
     assert state.frozen == frozen  # it does not thaw by itself
 
 
 @pytest.mark.parametrize("method", sorted(METHODS))
-def test_a_policy_that_reaches_no_milestone_starts_afresh_and_phi_stays(method: str, small: Config) -> None:
+def test_a_policy_that_reaches_no_milestone_starts_afresh_and_phi_stays(method: str) -> None:
     task = make_task("pen_press", {"initial_length": 0.05})  # these fingers reach nothing
-    config = dataclasses.replace(small, proxy_prefit=1, proxy_pairs=64, design_interval=10, restart_interval=2)
-    state = start(task, config, 0)
-    iterations = METHODS[method](task, config, state)
+    quick = {"proxy.prefit": 1, "proxy.pairs": 64, "design_interval": 10} if method == "morph" else {}
+    chosen = small_method(method, {"ppo.restart_interval": 2, **quick})
+    state = start(task, chosen, 0)
+    iterations = chosen.iterations(task, state)
     next(iterations)
-    learnt = state.learner.policy
+    learnt = state.control.policy
     assert (state.control_start, state.last_reached) == (0, 0)
     next(iterations)
-    assert state.learner.policy is not learnt
+    assert state.control.policy is not learnt
     assert (state.control_start, state.last_reached) == (2, 2)
     next(iterations)
     assert all_finite(state)
 
 
 @pytest.mark.parametrize("method", sorted(METHODS))
-def test_a_method_learns_from_the_episodes_that_could_be_simulated(method: str, small: Config) -> None:
-    task, config = Fragile(), dataclasses.replace(small, trajectories=32, policy_std=1.0)
-    state = start(task, config, 0)
-    before = copy.deepcopy(state.learner.policy.state_dict())
-    progress = list(itertools.islice(METHODS[method](task, config, state), 4))
+def test_a_method_learns_from_the_episodes_that_could_be_simulated(method: str) -> None:
+    task, chosen = Fragile(), small_method(method, {"trajectories": 32, "ppo.std": 1.0})
+    state = start(task, chosen, 0)
+    before = copy.deepcopy(state.control.policy.state_dict())
+    progress = list(itertools.islice(chosen.iterations(task, state), 4))
     assert 0 < state.diverged < 4 * 32
     assert all(np.isfinite(p.episode_return) for p in progress)
-    assert any(not torch.equal(before[name], weights) for name, weights in state.learner.policy.state_dict().items())
+    assert any(not torch.equal(before[name], weights) for name, weights in state.control.policy.state_dict().items())
     assert all_finite(state)
 
 
 @pytest.mark.parametrize("limit", [0.0, 0.06])
 @pytest.mark.parametrize("method", sorted(METHODS))
-def test_an_iteration_that_leaves_no_two_episodes_is_skipped(method: str, limit: float, small: Config) -> None:
-    task, config = Fragile(limit=limit), dataclasses.replace(small, proxy_prefit=0)
-    state = start(task, config, 0)
-    before = copy.deepcopy({name: module.state_dict() for name, module in state.learner.modules.items()})
-    progress = list(itertools.islice(METHODS[method](task, config, state), 3))
+def test_an_iteration_that_leaves_no_two_episodes_is_skipped(method: str, limit: float) -> None:
+    task, chosen = Fragile(limit=limit), small_method(method, {"proxy.prefit": 0} if method == "morph" else {})
+    state = start(task, chosen, 0)
+    before = copy.deepcopy({name: module.state_dict() for name, module in state.modules.items()})
+    progress = list(itertools.islice(chosen.iterations(task, state), 3))
     assert [p.iteration for p in progress] == [1, 2, 3]
-    assert state.diverged == 3 * config.trajectories
+    assert state.diverged == 3 * chosen.trajectories
     assert progress[-1].env_steps == state.env_steps >= state.diverged
     assert [(p.success, p.episode_return, p.phi) for p in progress] == [(0.0, 0.0, state.phi.tolist())] * 3
-    for name, module in state.learner.modules.items():
+    for name, module in state.modules.items():
         assert all(torch.equal(before[name][key], value) for key, value in module.state_dict().items())
 
 
-def test_weights_come_from_the_seed_alone(small: Config) -> None:
+def test_weights_come_from_the_seed_alone() -> None:
     torch.manual_seed(1)
-    first = start(TASK, small, 3).learner.policy.state_dict()
+    first = start(TASK, SMALL, 3).control.policy.state_dict()
     torch.manual_seed(2)
-    second = start(TASK, small, 3).learner.policy.state_dict()
+    second = start(TASK, SMALL, 3).control.policy.state_dict()
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
@@ -217,9 +217,10 @@ def test_weights_come_from_the_seed_alone(small: Config) -> None:
 def test_morph_finds_an_arm_that_reaches_the_goal() -> None:
     from morph_core.episodes import evaluate
 
-    state = start(TASK, TASK.config, 0)
-    for progress in METHODS["morph"](TASK, TASK.config, state):
+    method = make_method("morph", TASK)
+    state = start(TASK, method, 0)
+    for progress in method.iterations(TASK, state):
         if progress.env_steps >= 0.7e6:
             break
-    score, _ = evaluate(TASK, state.learner.policy, state.phi, 128, np.random.default_rng(1), sampled=True)
+    score, _ = evaluate(TASK, state.control.policy, state.phi, 128, np.random.default_rng(1), sampled=True)
     assert score.success >= 0.9

@@ -162,7 +162,7 @@ def test_the_exported_arm_has_the_kinematics_of_hw_phy(phi: np.ndarray, seed: in
 
 
 def test_unknown_tunnel_and_z_list_the_choices() -> None:
-    with pytest.raises(ValueError, match="choose from: paper, zigzag"):
+    with pytest.raises(ValueError, match=r"unknown tunnel \"cave\"; choose from: zigzag, paper$"):
         Reacher(tunnel="cave")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="choose from: joints, tip"):
         Reacher(z="elbow")  # pyright: ignore[reportArgumentType]

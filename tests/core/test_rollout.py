@@ -5,16 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from morph_core.objective import make_batch
 
 from morph_core.catalogue import make_task
-from morph_core.config import Config
 from morph_core.episodes import evaluate, record_episode
 from morph_core.exploration import relabel_on_hardware
 from morph_core.rollout import Act, Rollout, advantages, collect
 from morph_core.state import start
 from morph_core.tasks.reacher import LINKS, Reacher
-from tests.core.conftest import Fragile
+from tests.core.conftest import SMALL, Fragile, small_method
 
 
 def rollout_of(reward: np.ndarray, alive: np.ndarray) -> Rollout:
@@ -90,14 +88,14 @@ def test_the_steps_of_what_is_left_out_count_up_to_where_it_diverged() -> None:
     assert rollout.s.shape == (1, 0, task.state_size)
 
 
-def test_no_batch_holds_a_step_of_a_diverged_episode(small: Config) -> None:
+def test_no_batch_holds_a_step_of_a_diverged_episode() -> None:
     task = Fragile()
-    state = start(task, small, 0)
+    state = start(task, SMALL, 0)
     arm = task.hw_phy(state.phi)
     s = task.reset(arm, 64, np.random.default_rng(0))
     rollout = collect(task, turning(np.random.default_rng(1)), arm, s)
     assert rollout.diverged
-    batch = make_batch(task, state.learner, rollout, small)
+    batch = state.control.batch(rollout)
     pairs = relabel_on_hardware(rollout, arm, 0, state.rng)
     assert len(batch) == len(pairs) == rollout.alive.sum()
     assert all(torch.isfinite(getattr(batch, field.name)).all() for field in dataclasses.fields(batch))
@@ -106,9 +104,9 @@ def test_no_batch_holds_a_step_of_a_diverged_episode(small: Config) -> None:
 
 
 @pytest.mark.parametrize("sampled", [False, True])
-def test_an_evaluation_counts_a_diverged_episode_as_a_failure(small: Config, sampled: bool) -> None:
-    task, config = Fragile(), dataclasses.replace(small, policy_std=2.0)
-    policy = start(task, config, 0).learner.policy
+def test_an_evaluation_counts_a_diverged_episode_as_a_failure(sampled: bool) -> None:
+    task = Fragile()
+    policy = start(task, small_method("morph", {"ppo.std": 2.0}), 0).control.policy
     score, rollout = evaluate(task, policy, task.design_space.initial, 64, np.random.default_rng(0), sampled)
     assert score.diverged == rollout.diverged == 64 - rollout.alive.shape[1]
     assert (score.diverged > 0) == sampled  # the mean of a fresh policy hardly moves
@@ -122,11 +120,9 @@ def test_success_is_a_share_of_all_episodes_and_not_of_those_that_could_be_simul
     assert rollout.success_rate == 0.5
 
 
-def test_where_every_simulation_diverges_the_score_is_zero_and_the_recorded_episode_is_the_design(
-    small: Config,
-) -> None:
+def test_where_every_simulation_diverges_the_score_is_zero_and_the_recorded_episode_is_the_design() -> None:
     task = Fragile(limit=0.0)
     phi = task.design_space.initial
-    score, rollout = evaluate(task, start(task, small, 0).learner.policy, phi, 8, np.random.default_rng(0), True)
+    score, rollout = evaluate(task, start(task, SMALL, 0).control.policy, phi, 8, np.random.default_rng(0), True)
     assert (score.success, score.episode_return, score.diverged) == (0.0, 0.0, 8)
     assert list(record_episode(task, rollout, phi)) == ["phi"]

@@ -155,11 +155,20 @@ def test_an_unknown_run_lists_the_known_ones(tmp_path: Path) -> None:
         find_run(tmp_path, "two")
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b'{"format": 1}', b"\xff\xfe", b'{"id": 5}'])
+@pytest.mark.parametrize("content", [b"", b"{", b'{"format": 1}', b'{"format": "two"}', b"\xff\xfe", b'{"id": 5}'])
 def test_a_damaged_record_is_an_error_with_a_reason(tmp_path: Path, content: bytes) -> None:
     folder = make_run(tmp_path)
     (folder.path / "run.json").write_bytes(content)
     with pytest.raises(RunFolderError, match="can't be read"):
+        History(folder)
+
+
+@pytest.mark.parametrize("content", [b'{"format": 3}', b'{"format": 3, "parameters": "elsewhere"}'])
+def test_a_record_of_a_format_that_is_not_known_yet_is_refused_with_what_to_do(tmp_path: Path, content: bytes) -> None:
+    folder = make_run(tmp_path)
+    (folder.path / "run.json").write_bytes(content)
+    said = "run.json of run has format 3; this version knows up to 2: open it with a newer morph-studio"
+    with pytest.raises(RunFolderError, match=f"^{said}$"):
         History(folder)
 
 

@@ -6,9 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from morph_core.catalogue import TASKS, make_task
+from morph_core.catalogue import METHODS, TASKS, make_method, make_task
+from morph_core.contract import check_task
+from morph_core.method import Method
 from morph_core.rollout import collect
+from morph_core.state import start
 from morph_core.task import Task
+from tests.core.conftest import SMALL
 from tests.foreign import Pointer
 
 N = 6
@@ -119,6 +123,30 @@ def test_hardware_from_the_scene_is_the_hardware_of_its_design(task: Task) -> No
     s = task.reset(hw_phy, N, rng)
     step = task.step(hw_phy, s, rng.uniform(-1, 1, (N, task.action_size)))
     np.testing.assert_allclose(reloaded(s, step.a), step.z, rtol=0, atol=1e-9)
+
+
+def test_the_check_that_plug_ins_must_pass_accepts_it(task: Task) -> None:
+    check_task(task)
+
+
+def test_what_is_tuned_for_it_is_what_a_run_of_it_gets(task: Task) -> None:
+    tuned = {settings.name: settings for settings in task.tuned if isinstance(settings, Method)}
+    assert set(tuned) == {"morph", "direct", "no_hw_opt"} <= set(METHODS)
+    for name, settings in tuned.items():
+        assert make_method(name, task) == settings
+        settings.check(task)
+
+
+def test_it_says_whether_it_runs_in_the_proxys_world(task: Task) -> None:
+    hw_nn, rng = start(task, SMALL, 0).hw_nn, np.random.default_rng(0)
+    s = task.reset(task.hw_phy(task.design_space.initial), N, rng)
+    action = rng.uniform(-1, 1, (N, task.action_size))
+    if task.runs_on_proxy:
+        step = task.step(hw_nn, s, action)
+        assert np.array_equal(step.z, hw_nn(s, step.a))
+    else:
+        with pytest.raises(ValueError, match="not in the proxy's world"):
+            task.step(hw_nn, s, action)
 
 
 def test_shapes_are_as_declared(task: Task) -> None:

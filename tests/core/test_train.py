@@ -1,6 +1,5 @@
 """The trainer as a real process: commands, kill and resume, a second trainer, a full disk."""
 
-import dataclasses
 import json
 import os
 import resource
@@ -15,14 +14,15 @@ import numpy as np
 import pytest
 
 from morph_core import protocol
-from morph_core.catalogue import make_task
+from morph_core.catalogue import make_method, make_task
 from morph_core.checkpoint import load_newest
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, AnyEvent, StateChanged
 from morph_core.run_folder import EventLog, RunFolder, read_episode
+from morph_core.searches.cma import Cma
 from morph_core.state import start
-from morph_core.train import METHODS, Trainer, apply_edit
-from tests.core.conftest import SMALL, make_run
+from morph_core.train import Trainer, apply_edit
+from tests.core.conftest import SMALL, make_run, small_method
 
 
 def spawn(folder: RunFolder, *arguments: str, **options: object) -> subprocess.Popen[str]:
@@ -59,8 +59,10 @@ def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path:
     assert episode["population"].shape == (min(SMALL.trajectories, 12), 5)
     assert not [name for name in episode if name.startswith("milestones/")]
     assert [e.milestones for e in history.evaluations] == [{}] * 3
-    fitted = SMALL.proxy_prefit * 512
-    searched = SMALL.search_pairs * (SMALL.search_population * SMALL.search_generations + 2)  # start and find, again
+    fitted = SMALL.proxy.prefit * SMALL.proxy.prefit_pairs
+    search = SMALL.search
+    assert isinstance(search, Cma)
+    searched = search.pairs * (search.population * search.generations + 2)  # start and find, again
     relabelled = [fitted + p.env_steps + p.iteration * searched for p in history.progress]
     assert [p.relabelled_steps for p in history.progress] == relabelled
     assert np.allclose(sum(episode[k] for k in episode if k.startswith("reward_terms/")), episode["reward"])
@@ -122,7 +124,7 @@ def test_a_steered_run_can_be_replayed_from_its_log(tmp_path: Path) -> None:
 
     task = make_task("reacher")
     state = start(task, SMALL, history.record.seed)
-    replayed, method = [], METHODS["morph"](task, SMALL, state)
+    replayed, method = [], SMALL.iterations(task, state)
     for recorded in history.progress:
         for answer in history.acknowledged:
             if answer.iteration == recorded.iteration - 1 and not isinstance(answer.command, protocol.Stop):
@@ -158,7 +160,7 @@ def test_a_second_trainer_on_one_folder_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_failure_is_said_with_its_reason(tmp_path: Path) -> None:
-    folder = make_run(tmp_path, config=dataclasses.replace(SMALL, learning_rate=1e30))
+    folder = make_run(tmp_path, method=small_method("morph", {"ppo.learning_rate": 1e30}))
     trainer = spawn(folder)
     trainer.communicate(timeout=100)
     assert trainer.returncode == 1
@@ -213,8 +215,8 @@ def test_further_goes_beyond_a_finished_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize("method", ["morph", "direct", "no_hw_opt"])
 @pytest.mark.slow
 def test_killed_and_resumed_is_bitwise_the_run_that_was_not(tmp_path: Path, method: str) -> None:
-    whole = train(make_run(tmp_path, "whole", method, seed=3, iterations=12))
-    folder = make_run(tmp_path, "killed", method, seed=3, iterations=12)
+    whole = train(make_run(tmp_path, "whole", small_method(method), seed=3, iterations=12))
+    folder = make_run(tmp_path, "killed", small_method(method), seed=3, iterations=12)
     history = History(folder)
     for reached in (1, 3, 6, 9):
         trainer = spawn(folder)
@@ -302,7 +304,7 @@ def test_what_is_acknowledged_is_in_a_checkpoint_before_the_word(
 
 def test_a_hand_is_never_moved_to_where_its_fingers_stand_in_each_other() -> None:
     task = make_task("pen_press")
-    state = start(task, task.config, 0)
+    state = start(task, make_method("morph", task), 0)
     inside = state.phi.copy()
     inside[0] = np.pi / 2 - 0.1
     for command in (
