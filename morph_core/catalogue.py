@@ -117,9 +117,8 @@ def _with_parts(base: S, flat: Mapping[str, object], tuned: tuple[Settings, ...]
         if not isinstance(value, Settings):
             continue
         path = prefix + name
-        wanted = flat.get(path)
-        if registry is not None and wanted is not None and wanted != getattr(value, "name", None):
-            part: Any = registry[str(wanted)]
+        if registry is not None and path in flat and flat[path] != getattr(value, "name", None):
+            part: Any = registry[str(flat[path])]
             value = next((settings for settings in tuned if type(settings) is part), None) or part()
         changes[name] = _with_parts(value, flat, tuned, f"{path}.")
     return dataclasses.replace(base, **changes)
@@ -131,16 +130,10 @@ def _with_values(base: S, flat: Mapping[str, object], prefix: str = "") -> S:
     for name, kind in _fields(base):
         value, path = getattr(base, name), prefix + name
         if isinstance(value, Settings):
-            if path in flat and choices_of(kind) is None:
-                raise ValueError(f'"{path}" has settings of its own; choose from: {", ".join(_below(value, path))}')
             changes[name] = _with_values(value, flat, f"{path}.")
         elif path in flat:
             changes[name] = check_value(path, kind, flat[path])
     return dataclasses.replace(base, **changes)
-
-
-def _below(settings: Settings, path: str) -> list[str]:
-    return [f"{path}.{name}" for name, _ in paths_of(settings)]
 
 
 def _fields(settings: Settings) -> list[tuple[str, Any]]:
@@ -154,17 +147,30 @@ def _refusal(name: str, allowed: list[str], chosen: Settings) -> str:
     list_of = f"choose from: {', '.join(allowed)}"
     if name in RENAMED:
         return f'"{name}" is called {" or ".join(RENAMED[name])} now; {list_of}'
+    below = [other for other in allowed if other.startswith(f"{name}.")]
+    if below:
+        return f'"{name}" has settings of its own; choose from: {", ".join(below)}'
     head, _, rest = name.partition(".")
     registry = choices_of(kinds_of(type(chosen)).get(head))
     owners = [other for other in registry or () if rest in dict(paths_of(registry[other]()))] if registry else []
     if owners:
         present = getattr(getattr(chosen, head), "name", "")
         return f'"{name}" does nothing with {head} {present}, only with {" or ".join(owners)}; {list_of}'
-    others = [other for other in METHODS if name in dict(paths_of(METHODS[other]()))]
+    others = [other for other in METHODS if name in _everything(METHODS[other]())]
     if others and isinstance(chosen, Method):
         return f'"{name}" does nothing for {chosen.name}, only for {" or ".join(others)}; {list_of}'
     near = difflib.get_close_matches(name, allowed, 1)
     return f'unknown setting "{name}"{f" (did you mean {near[0]}?)" if near else ""}; {list_of}'
+
+
+def _everything(method: Method) -> set[str]:
+    """Return whatever can be set for a method with one of its explorations and searches or another."""
+    names = {name for name, _ in paths_of(method)}
+    for field, kind in _fields(method):
+        registry: Any = choices_of(kind) or {}
+        for other in registry:
+            names |= {f"{field}.{name}" for name, _ in paths_of(registry[other]())}
+    return names
 
 
 def read_method(record: RunRecord) -> Method:
