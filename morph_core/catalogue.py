@@ -150,16 +150,10 @@ def _with_values(base: S, flat: Mapping[str, object], prefix: str = "") -> S:
     for name, kind in _fields(base):
         value, path = getattr(base, name), prefix + name
         if isinstance(value, Settings):
-            if path in flat and choices_of(kind) is None:
-                raise ValueError(f'"{path}" has settings of its own; choose from: {", ".join(_below(value, path))}')
             changes[name] = _with_values(value, flat, f"{path}.")
         elif path in flat:
             changes[name] = check_value(path, kind, flat[path])
     return dataclasses.replace(base, **changes)
-
-
-def _below(settings: Settings, path: str) -> list[str]:
-    return [f"{path}.{name}" for name, _ in paths_of(settings)]
 
 
 def _fields(settings: Settings) -> list[tuple[str, Any]]:
@@ -173,6 +167,9 @@ def _refusal(name: str, allowed: list[str], chosen: Settings) -> str:
     list_of = f"choose from: {', '.join(allowed)}"
     if name in RENAMED:
         return f'"{name}" is called {" or ".join(RENAMED[name])} now; {list_of}'
+    below = [other for other in allowed if other.startswith(f"{name}.")]
+    if below:
+        return f'"{name}" has settings of its own; choose from: {", ".join(below)}'
     head, _, rest = name.partition(".")
     registry = choices_of(kinds_of(type(chosen)).get(head))
     owners = [other for other in registry or () if rest in dict(paths_of(registry[other]()))] if registry else []
@@ -180,11 +177,21 @@ def _refusal(name: str, allowed: list[str], chosen: Settings) -> str:
         present = getattr(getattr(chosen, head), "name", "")
         inside = ", ".join(other for other in allowed if other.startswith(f"{head}."))
         return f'"{name}" does nothing with {head} {present}, only with {" or ".join(owners)}; choose from: {inside}'
-    others = [other for other in METHODS if name in dict(paths_of(METHODS[other]()))]
+    others = [other for other in METHODS if name in _everything(METHODS[other]())]
     if others and isinstance(chosen, Method):
         return f'"{name}" does nothing for {chosen.name}, only for {" or ".join(others)}; {list_of}'
     near = difflib.get_close_matches(name, allowed, 1)
     return f'unknown setting "{name}"{f" (did you mean {near[0]}?)" if near else ""}; {list_of}'
+
+
+def _everything(method: Method) -> set[str]:
+    """Return whatever can be set for a method with one of its explorations and searches or another."""
+    names = {name for name, _ in paths_of(method)}
+    for field, kind in _fields(method):
+        registry: Any = choices_of(kind) or {}
+        for other in registry:
+            names |= {f"{field}.{name}" for name, _ in paths_of(registry[other]())}
+    return names
 
 
 def read_method(record: RunRecord) -> Method:

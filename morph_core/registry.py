@@ -1,9 +1,9 @@
 """Classes by name: this package's own, and those that installed packages add under an entry-point group."""
 
-import dataclasses
 import importlib
 import inspect
 import pkgutil
+import threading
 import typing
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -46,6 +46,7 @@ class Registry(Generic[T]):
         self._folder, self._first, self._check = folder, first, check
         self._classes: dict[str, type[T]] | None = None
         self._broken: list[Broken] = []
+        self._lock = threading.RLock()  # a plug-in may ask for others while it is imported, in the same thread
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._loaded())
@@ -88,15 +89,16 @@ class Registry(Generic[T]):
     # --- finding them ---
 
     def _loaded(self) -> dict[str, type[T]]:
-        if self._classes is None:
-            self._classes = own = self._own()
-            self._broken = []
-            by_name: dict[str, list[EntryPoint]] = {}
-            for point in entry_points(group=self.group):
-                by_name.setdefault(point.name, []).append(point)
-            for name in sorted(by_name):
-                self._take(name, by_name[name], own)
-        return self._classes
+        with self._lock:
+            if self._classes is None:
+                self._classes = own = self._own()
+                self._broken = []
+                by_name: dict[str, list[EntryPoint]] = {}
+                for point in entry_points(group=self.group):
+                    by_name.setdefault(point.name, []).append(point)
+                for name in sorted(by_name):
+                    self._take(name, by_name[name], own)
+            return self._classes
 
     def _own(self) -> dict[str, type[T]]:
         package = importlib.import_module(self._folder)
@@ -114,8 +116,11 @@ class Registry(Generic[T]):
         return isinstance(value.__dict__.get("name"), str) and self._inherits(value)
 
     def _inherits(self, value: type) -> bool:
-        """Tell whether a class is a dataclass of this kind; the kind may be a protocol, of which Python can't tell."""
-        return dataclasses.is_dataclass(value) and self.kind in value.__mro__
+        """Tell whether a class is a dataclass of this kind; the kind may be a protocol, of which Python can't tell.
+
+        A class that only inherits from a dataclass is none: its own fields would be no settings.
+        """
+        return "__dataclass_params__" in vars(value) and self.kind in value.__mro__
 
     @staticmethod
     def _name_of(kind: type) -> str:
@@ -138,8 +143,9 @@ class Registry(Generic[T]):
         try:
             kind = point.load()
             self._examine(kind, name)
-        except Exception as error:  # whatever another package does when it is imported
-            self._refuse(point, f"{type(error).__name__}: {error}" if not isinstance(error, ValueError) else str(error))
+        except (Exception, SystemExit) as error:  # whatever another package does when it is imported
+            said = isinstance(error, ValueError) and str(error)
+            self._refuse(point, said or f"{type(error).__name__}: {error}".removesuffix(": "))
         else:
             classes[name] = kind
 

@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from morph_core.methods.no_hw_opt import NoHwOpt
 from morph_core.methods.proxy import Morph
 from morph_core.parts import Evaluation, Ppo, ProxyFit, Schedule
 from morph_core.protocol import RunRecord
-from morph_core.run_folder import RunFolder, read_episode
+from morph_core.run_folder import RunFolder, create_run, read_episode
 from morph_core.searches.cma import Cma
 from morph_core.searches.drift import Drift
 from morph_core.spread import ExploredDesigns
@@ -156,11 +157,13 @@ def run(name: str, tmp_path: Path) -> RunFolder:
     return RunFolder(tmp_path / name)
 
 
-def record_of(method: str, config: dict[str, Any]) -> RunRecord:
-    return RunRecord(
-        format=1, id="old", task="reacher", method=method, seed=0, iterations=1, config=config, parameters=[],
-        versions={}, created=0.0,
+def read(runs: Path, method: str, config: dict[str, Any]) -> Method:
+    """Return the method of a run whose run.json has these settings in format 1."""
+    record = RunRecord(
+        format=1, id=f"old-{time.monotonic_ns()}", task="reacher", method=method, seed=0, iterations=1, config=config,
+        parameters=[], versions={}, created=0.0,
     )  # fmt: skip
+    return read_method(create_run(runs, record).record())
 
 
 def as_recorded(*values: str) -> Any:
@@ -186,28 +189,33 @@ def test_no_name_is_translated_that_was_never_one() -> None:
 
 
 @pytest.mark.parametrize(("method", "exploration", "search"), CHOICES)
-def test_a_run_with_the_old_defaults_has_the_new_ones(method: str, exploration: str, search: str) -> None:
+def test_a_run_with_the_old_defaults_has_the_new_ones(
+    tmp_path: Path, method: str, exploration: str, search: str
+) -> None:
     config = OLD_DEFAULTS | {"exploration": exploration, "search": search}
     chosen = {"exploration": exploration, "search": search} if method == "morph" else {}
-    assert read_method(record_of(method, config)) == configured(METHODS[method](), chosen)
+    assert read(tmp_path, method, config) == configured(METHODS[method](), chosen)
 
 
 @pytest.mark.parametrize(("method", "exploration", "search"), CHOICES)
-def test_what_a_method_can_be_told_comes_from_the_old_settings(method: str, exploration: str, search: str) -> None:
+def test_what_a_method_can_be_told_comes_from_the_old_settings(
+    tmp_path: Path, method: str, exploration: str, search: str
+) -> None:
     others = {name: value + 1 for name, value in OLD_DEFAULTS.items() if isinstance(value, int)}
     others |= {name: value / 2 + 0.125 for name, value in OLD_DEFAULTS.items() if isinstance(value, float)}
     others |= {"trajectories": 64, "drift_designs": 32, "projection": "as_printed", "utility": "log_rank"}
     config = OLD_DEFAULTS | others | {"exploration": exploration, "search": search}
     renamed = translated(config)
     assert all(config[name] != OLD_DEFAULTS[name] for name in others)
-    read = dict(paths_of(read_method(record_of(method, config))))
-    assert read == {path: renamed.get(path, ONCE_FIXED.get(path)) for path in read}
+    found = dict(paths_of(read(tmp_path, method, config)))
+    assert found == {path: renamed.get(path, ONCE_FIXED.get(path)) for path in found}
 
 
 def test_a_recorded_run_opens_with_its_settings_events_and_episode(run: RunFolder, name: str) -> None:
     history, recorded = History(run), RUNS[name]
-    assert history.record.format == 1
-    assert set(history.record.config) == set(OLD_DEFAULTS)
+    written = json.loads((run.path / "run.json").read_text())
+    assert written["format"] == 1
+    assert set(written["config"]) == set(OLD_DEFAULTS)
     assert read_method(history.record) == recorded.method
     lines = run.events.read_text().splitlines()
     assert [event.seq for event in history.events] == list(range(1, len(lines) + 1))

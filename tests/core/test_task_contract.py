@@ -44,7 +44,7 @@ def test_a_task_that_lacks_a_member_says_which() -> None:
 
 def test_what_a_small_task_leaves_out_has_a_default_that_suits() -> None:
     task, phi = Pointer(), np.full((3, 2), 0.3)
-    assert (task.title, task.z_unit, task.z_scale, task.explorations) == ("pointer", "", 1.0, ("design",))
+    assert (task.title, task.z_unit, task.z_scale, task.runs_on_proxy) == ("pointer", "", 1.0, True)
     assert task.initial_action.tolist() == [0, 0]
     assert task.buildable(phi).tolist() == [True] * 3
     assert task.solved(np.array([[True, False], [False, False]])).tolist() == [True, False]
@@ -129,12 +129,12 @@ def test_the_check_that_plug_ins_must_pass_accepts_it(task: Task) -> None:
     check_task(task)
 
 
-def test_what_is_tuned_for_it_is_what_a_run_of_it_gets(task: Task) -> None:
-    tuned = {settings.name: settings for settings in task.tuned if isinstance(settings, Method)}
+def test_what_is_tuned_for_it_is_what_a_run_of_it_gets(listed: Task) -> None:
+    tuned = {settings.name: settings for settings in listed.tuned if isinstance(settings, Method)}
     assert set(tuned) == {"morph", "direct", "no_hw_opt"} <= set(METHODS)
     for name, settings in tuned.items():
-        assert make_method(name, task) == settings
-        settings.check(task)
+        assert make_method(name, listed) == settings
+        settings.check(listed)
 
 
 def test_it_says_whether_it_runs_in_the_proxys_world(task: Task) -> None:
