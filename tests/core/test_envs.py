@@ -459,6 +459,24 @@ def test_a_picture_frames_what_stands_at_the_start(name: str) -> None:
     assert painted.any(0).mean() > 0.4
 
 
+def test_a_flat_scene_is_seen_from_above() -> None:
+    env = TaskEnv("reacher", render_mode="rgb_array")
+    env.reset(seed=0)
+    image = env.render()
+    assert image is not None
+    rows, columns = np.nonzero(np.abs(hues(image) - hues(np.array(palette.GOAL[:3]))).max(-1) < 0.02)
+    assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=1)  # the goal is a disc
+
+
+def test_what_is_lifted_to_the_goal_stays_in_the_picture() -> None:
+    env = TaskEnv("pen_press", render_mode="rgb_array")
+    env.reset(seed=0)
+    env._s[:, [0, 11]] += PenPress().goal_height - PenPress().half_width  # palm and pen
+    image = env.render()
+    assert image is not None
+    assert not (hues(image).min(-1) < 0.9)[0].any()
+
+
 def test_the_hand_and_the_pen_throw_a_shadow_on_the_table() -> None:
     env = TaskEnv("pen_press", render_mode="rgb_array")
     env.reset(seed=0)
