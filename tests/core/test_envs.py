@@ -470,7 +470,7 @@ def test_a_flat_scene_is_seen_from_above() -> None:
 
 def test_what_is_lifted_to_the_goal_stays_in_the_picture() -> None:
     env = TaskEnv("pen_press", render_mode="rgb_array")
-    env.reset(seed=0)
+    env.reset(seed=0, options={"phi": [0.0] * 4 + [0.35] * 4})
     env._s[:, [0, 11]] += PenPress().goal_height - PenPress().half_width  # palm and pen
     image = env.render()
     assert image is not None
