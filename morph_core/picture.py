@@ -118,8 +118,7 @@ def _covered(corners: np.ndarray, width: int, height: int) -> tuple[np.ndarray, 
     slope = np.where(flat, normal[:, :2] / np.where(flat, normal[:, 2:], 1.0), 0.0)
     level = corners[:, 0, 2] + (slope * corners[:, 0, :2]).sum(1)
     depth = level[which] - slope[which, 0] * (column + 0.5) - slope[which, 1] * (row + 0.5)
-    low, high = corners[..., 2].min(1), corners[..., 2].max(1)
-    return which, row * width + column, np.clip(depth, low[which], high[which])
+    return which, row * width + column, depth
 
 
 def _between(low: np.ndarray, high: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:

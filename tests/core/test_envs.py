@@ -279,6 +279,38 @@ class Crowded(PenPress):
         raise ValueError(f"{len(phi)} parameters are too many")
 
 
+@dataclass(frozen=True)
+class Brittle(Reacher):
+    """An arm whose Hw-Phy can't be made with a short last link, which nothing says beforehand."""
+
+    def hw_phy(self, phi: np.ndarray) -> Any:
+        if np.any(phi[..., -1] < 1):
+            raise ValueError("it breaks")
+        return super().hw_phy(phi)
+
+
+@both
+def test_hardware_that_cannot_be_made_changes_nothing(make: Make) -> None:
+    env = make(Brittle())
+    env.reset(seed=5)
+    twin = copy.deepcopy(env)
+    with pytest.raises(ValueError, match="it breaks"):
+        env.reset(seed=6, options={"phi": [2.0, 2.0, 2.0, 2.0, 0.5]})
+    assert np.array_equal(env.phi, twin.phi)
+    assert np.array_equal(env.reset()[0], twin.reset()[0])
+
+
+@both
+def test_what_is_handed_out_is_not_what_is_simulated(make: Make) -> None:
+    env = make("reacher")
+    seen, info = env.reset(seed=5)
+    twin = copy.deepcopy(env)
+    for array in (seen, info["phi"], env.phi):
+        array[:] = 0.0
+    acts = actions(env, 3)
+    assert equal(episode(env, acts), episode(twin, acts))
+
+
 @both
 def test_an_initial_design_that_cannot_be_built_is_refused_as_well(make: Make) -> None:
     with pytest.raises(ValueError, match="8 parameters are too many"):
@@ -342,7 +374,7 @@ def test_the_environment_of_a_wrong_design_is_named() -> None:
 
 def test_a_mask_restarts_some_as_sync_vector_env_does() -> None:
     ours, theirs = TaskVectorEnv("reacher", N), sync("reacher")
-    acts, mask = actions(ours, 6), np.array([False, True, False])
+    acts, mask = actions(ours, ours.task.horizon + 6), np.array([False, True, False])
     for env in (ours, theirs):
         env.reset(seed=1)
         episode(env, acts[:2])
@@ -426,6 +458,24 @@ def test_a_picture_frames_what_stands_at_the_start(name: str) -> None:
     assert not painted[[0, -1]].any()
     assert not painted[:, [0, -1]].any()
     assert painted.any(0).mean() > 0.4
+
+
+def test_a_flat_scene_is_seen_from_above() -> None:
+    env = TaskEnv("reacher", render_mode="rgb_array")
+    env.reset(seed=0)
+    image = env.render()
+    assert image is not None
+    rows, columns = np.nonzero(np.abs(hues(image) - hues(np.array(palette.GOAL[:3]))).max(-1) < 0.02)
+    assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=1)  # the goal is a disc
+
+
+def test_what_is_lifted_to_the_goal_stays_in_the_picture() -> None:
+    env = TaskEnv("pen_press", render_mode="rgb_array")
+    env.reset(seed=0, options={"phi": [0.0] * 4 + [0.35] * 4})
+    env._s[:, [0, 11]] += PenPress().goal_height - PenPress().half_width  # palm and pen
+    image = env.render()
+    assert image is not None
+    assert not (hues(image).min(-1) < 0.9)[0].any()
 
 
 def test_the_hand_and_the_pen_throw_a_shadow_on_the_table() -> None:

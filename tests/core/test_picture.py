@@ -43,6 +43,15 @@ def test_the_nearest_surface_hides_the_others() -> None:
         assert seen[seen[:, 3] == 255][0, 0] > 50  # and it is above
 
 
+def test_from_above_only_the_upper_of_two_discs_is_seen() -> None:
+    red, blue = (disc(1.0), np.array([1.0, 0.0, 0.0])), (disc(0.0), np.array([0.0, 0.0, 1.0]))
+    camera = Camera.framing(disc(0.0).reshape(-1, 3), np.array([0.0, 0, 1]), 40, 40)
+    for surfaces in ([red, blue], [blue, red]):
+        image = draw(surfaces, camera)
+        assert not image[..., 2].any()
+        assert (image[..., 0] > 50).mean() > 0.5
+
+
 def test_a_surface_seen_from_behind_is_not_drawn() -> None:
     back = disc(0.0)[:, ::-1]
     image = painted((back, np.array([1.0, 0.0, 0.0])), (disc(-3.0), np.array([0.0, 1.0, 0.0])))
