@@ -167,9 +167,7 @@ def trajectories(reward: Any, alive: Any, **others: Any) -> Rollout:
     """Return a rollout with these rewards (T, N) and steps alive (T, N); what is not given is zero."""
     reward, alive = np.asarray(reward, dtype=float), np.asarray(alive, dtype=bool)
     steps, episodes = reward.shape
-    numbers = {
-        name: np.zeros((steps, episodes, size)) for name, size in (("s", 3), ("action", 2), ("a", 2), ("z", 2))
-    }
+    numbers = {name: np.zeros((steps, episodes, size)) for name, size in (("s", 3), ("action", 2), ("a", 2), ("z", 2))}
     numbers["observation"] = np.zeros((steps, episodes, 1), dtype=np.float32)
     numbers["action"] = numbers["action"].astype(np.float32)
     return Rollout(

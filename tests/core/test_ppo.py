@@ -219,9 +219,7 @@ def test_a_fresh_start_is_one_of_new_weights_and_an_optimiser_that_knows_them() 
     for first, second in zip(state.control.policy.parameters(), again.control.policy.parameters(), strict=True):
         assert torch.equal(first, second)  # drawn from the run's own random numbers
     other = started(replaced(ppo=Ppo(epochs=1, minibatches=1, restart_interval=1)), seed=1)
-    assert not torch.equal(
-        state.control.policy.mean[0].weight, after([0], state=other).control.policy.mean[0].weight
-    )  # pyright: ignore
+    assert not torch.equal(state.control.policy.mean[0].weight, after([0], state=other).control.policy.mean[0].weight)  # pyright: ignore
 
 
 def test_without_an_interval_nothing_starts_afresh() -> None:

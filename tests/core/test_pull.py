@@ -105,7 +105,9 @@ def test_the_pull_of_noise_is_that_of_ppo_on_z(m: float, flows: dict[float, bool
 def test_the_noise_scales_the_pull_and_each_pair_has_the_advantage_of_its_row() -> None:
     state = started()
     state.proxy = proxy([[1.0, 0.0], [0.0, 1.0]])
-    pairs = dataclasses.replace(pairs_of([[1, 1]] * 2, [[1.1, 1.0], [1.0, 0.8]], np.zeros((2, 2))), row=np.array([1, 4]))
+    pairs = dataclasses.replace(
+        pairs_of([[1, 1]] * 2, [[1.1, 1.0], [1.0, 0.8]], np.zeros((2, 2))), row=np.array([1, 4])
+    )
     advantage = np.array([100, 2, 100, 100, -3], dtype=np.float32)
     pull = Gaussian(noise=0.5).pull(state, trajectories([[1.0]], [[1]]), pairs, advantage)
     m = np.ones((2, 2), dtype=np.float32)  # r = 1

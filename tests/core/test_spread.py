@@ -99,5 +99,3 @@ def test_the_last_halving_is_tried_and_no_further_one() -> None:
     phi = np.array([0.0, 0.0])
     assert nearest_buildable(Scales(), phi, np.array([10.0 * 2 ** (HALVINGS - 1), 0.0])).tolist() == [10.0, 0.0]
     assert nearest_buildable(Scales(), phi, np.array([10.0 * 2**HALVINGS, 0.0])).tolist() == [0.0, 0.0]
-
-
