@@ -34,7 +34,7 @@ def test_a_milestone_of_a_step_after_the_end_does_not_count() -> None:
 def test_an_episode_whose_simulation_diverged_has_failed() -> None:
     class Half(Scales):
         def hw_phy(self, phi: np.ndarray) -> Any:
-            return lambda s, a: np.where(np.arange(len(s))[:, None] < len(s) // 2, phi * s[:, :2], np.nan)
+            return lambda s, _: np.where(np.arange(len(s))[:, None] < len(s) // 2, phi * s[:, :2], np.nan)
 
     result = score(Half(ends=2, near=1.0))
     assert (result.success, result.diverged) == (0.5, 4)
@@ -67,7 +67,7 @@ def test_a_rollout_counts_steps_until_each_end_and_keeps_what_was_executed() -> 
 def test_an_episode_that_ended_before_it_could_diverge_is_kept() -> None:
     class Late(Scales):
         def hw_phy(self, phi: np.ndarray) -> Any:
-            return lambda s, a: np.where(s[:, 2:] == 2, np.nan, phi * s[:, :2])
+            return lambda s, _: np.where(s[:, 2:] == 2, np.nan, phi * s[:, :2])
 
     result = score(Late(ends=2, succeeding=0.5))
     assert (result.success, result.diverged) == (0.5, 4)
@@ -79,7 +79,7 @@ def test_a_recorded_episode_has_its_steps_and_one_posture_more(ends: int, steps:
         def qpos(self, s: np.ndarray) -> np.ndarray:
             return s
 
-    task = Shown(ends=ends, near=1.0)
+    task = Shown(ends=ends, succeeding=0.5, near=1.0)
     _, rollout = evaluate(task, started().control.policy, np.array([1.0, 2.0]), 2, np.random.default_rng(0), True)
     episode = record_episode(task, rollout, np.array([1.0, 2.0]))
     assert episode["qpos"][:, 2].tolist() == list(range(steps + 1))

@@ -10,13 +10,23 @@ import torch
 
 from morph_core.config import Projection
 from morph_core.divergence import divergence, divergence_gradient, limited, squared_distance
-from morph_core.gradients import cosine, project
+from morph_core.gradients import cosine, flatten, project, write_gradient
 from morph_core.hw_nn import HwNN, ProxyUpdate
 from morph_core.parts import Ppo, ProxyFit
 from morph_core.search import Memory
 from morph_core.state import State
 from tests.core.scales import (
-    BATCH_OF_ALL, TINY, Multiplied, Scales, pairs_of, plain, proxy, replaced, started, tensor, weights_of,
+    BATCH_OF_ALL,
+    TINY,
+    Multiplied,
+    Scales,
+    pairs_of,
+    plain,
+    proxy,
+    replaced,
+    started,
+    tensor,
+    weights_of,
 )  # fmt: skip
 
 ZERO = [[0.0, 0.0], [0.0, 0.0]]
@@ -162,6 +172,15 @@ def test_cosines_by_hand() -> None:
     assert cosine(tensor([0.0, 0.0]), tensor([2.0, 0.0])) == 0.0
 
 
+def test_a_flat_gradient_goes_back_to_where_its_pieces_came_from() -> None:
+    layer = linear([[1.0, 2.0], [3.0, 4.0]], [5.0, 6.0])
+    gradients = [tensor([[1.0, 2.0], [3.0, 4.0]]), tensor([5.0, 6.0])]
+    assert flatten(gradients).tolist() == [1, 2, 3, 4, 5, 6]
+    write_gradient(layer.parameters(), flatten(gradients))
+    for p, gradient in zip(layer.parameters(), gradients, strict=True):
+        assert torch.equal(p.grad, gradient)  # pyright: ignore[reportArgumentType]
+
+
 # --- on the divergence alone ---
 
 
@@ -197,7 +216,8 @@ def test_the_fit_before_line_1_anneals_its_rate_to_almost_nothing(rates: list[fl
     assert steps == 4 * 8
 
 
-def test_the_first_step_of_the_fit_is_that_of_the_divergence_over_the_workspace(rates: list[float]) -> None:
+@pytest.mark.usefixtures("rates")
+def test_the_first_step_of_the_fit_is_that_of_the_divergence_over_the_workspace() -> None:
     hw_nn = proxy(ZERO, fit=ProxyFit(prefit=1, prefit_pairs=8, prefit_learning_rate=0.1))
     hw_nn.fit(Multiplied(np.array([1.0, 2.0])), np.random.default_rng(0))
     s = Scales().sample_pairs(8, np.random.default_rng(0))[0][:, :2]
@@ -206,7 +226,7 @@ def test_the_first_step_of_the_fit_is_that_of_the_divergence_over_the_workspace(
 
 
 def test_what_can_not_be_simulated_is_left_out_of_the_fit_and_yet_counted(rates: list[float]) -> None:
-    def brittle(s: np.ndarray, a: np.ndarray) -> np.ndarray:
+    def brittle(s: np.ndarray, _: np.ndarray) -> np.ndarray:
         return np.where(s[:, :1] > threshold, np.nan, s[:, :2])
 
     threshold = 0.0
@@ -256,3 +276,12 @@ def test_as_hardware_the_proxy_answers_in_doubles_without_a_gradient() -> None:
     z = proxy([[1.0, 2.0], [3.0, 4.0]])(np.array([[1.0, 10.0, 0.0]]), np.zeros((1, 2)))
     assert z.dtype == float
     assert z.tolist() == [[21.0, 43.0]]
+
+
+def test_what_the_network_says_is_in_units_of_the_tasks_z() -> None:
+    class Long(Scales):
+        z_scale = 3.0
+
+    hw_nn = HwNN(Long(), ProxyFit(), 4, torch.Generator().manual_seed(0))
+    hw_nn.proxy.net = linear([[1.0, 0.0], [0.0, 2.0]])
+    assert hw_nn(np.array([[1.0, 10.0, 0.0]]), np.zeros((1, 2))).tolist() == [[3.0, 60.0]]

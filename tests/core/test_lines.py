@@ -184,19 +184,20 @@ def test_the_policys_std_and_rate_fall_with_the_iterations_since_it_started_afre
     assert progress[5].policy_std == pytest.approx(0.8, rel=1e-3)  # the first iteration of a new policy
 
 
-def test_iterations_that_leave_no_two_episodes_are_counted_and_teach_nothing() -> None:
-    class Nothing(Scales):
+@pytest.mark.parametrize("method", [TINY, DIRECT, ALONE])
+@pytest.mark.parametrize("sound", [0, 1])
+def test_iterations_that_leave_no_two_episodes_are_counted_and_teach_nothing(method: Method, sound: int) -> None:
+    class Broken(Scales):
         def hw_phy(self, phi: np.ndarray) -> Any:
-            return lambda s, a: np.full((len(s), 2), np.nan)
+            return lambda s, _: np.where(np.arange(len(s))[:, None] < sound, s[:, :2], np.nan)
 
-    for method in (TINY, DIRECT, ALONE):
-        state = begun(method)
-        before = [p.detach().clone() for module in state.modules.values() for p in module.parameters()]
-        progress = run(method, 2, state, Nothing())
-        assert (state.iteration, state.diverged) == (2, 2 * method.trajectories)
-        assert [(p.success, p.episode_return, p.phi) for p in progress] == [(0.0, 0.0, [2.0, 2.0])] * 2
-        after = [p for module in state.modules.values() for p in module.parameters()]
-        assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
+    state = begun(method)
+    before = [p.detach().clone() for module in state.modules.values() for p in module.parameters()]
+    progress = run(method, 2, state, Broken())
+    assert (state.iteration, state.diverged) == (2, 2 * (method.trajectories - sound))
+    assert [(p.success, p.episode_return, p.phi) for p in progress] == [(0.0, 6.0 * sound, [2.0, 2.0])] * 2
+    after = [p for module in state.modules.values() for p in module.parameters()]
+    assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
 
 
 # --- the evolution strategy ---

@@ -137,6 +137,11 @@ def test_every_pass_takes_a_step_per_minibatch_and_sees_every_sample_once() -> N
     assert seen[:7] != seen[7:]
 
 
+def test_nothing_of_a_gradient_is_left_for_the_next_step() -> None:
+    state = improved(dataclasses.replace(BATCH_OF_ALL, epochs=2), rate=0.5, observation=[[0.0]], value_error=[1.0])
+    assert state.control.critic.value.bias.tolist() == pytest.approx([0.5 + 0.25])  # the error halves
+
+
 @pytest.mark.parametrize(("iteration", "share"), [(1, 0.0), (6, 0.5), (11, 1.0), (40, 1.0)])
 def test_all_learning_rates_fall_linearly_to_their_last_fraction(iteration: int, share: float) -> None:
     method = replaced(ppo=Ppo(learning_rate=0.01, learning_rate_end=0.2), schedule=Schedule(11))

@@ -138,7 +138,7 @@ def test_a_task_that_needs_hw_phy_is_not_explored_by_noise() -> None:
         runs_on_proxy = False
 
     Gaussian().check(Scales())
-    with pytest.raises(ValueError, match='"gaussian": it can\'t be simulated .*choose from: "design"'):
+    with pytest.raises(ValueError, match=r'"gaussian": it can\'t be simulated .*choose from: "design"'):
         Gaussian().check(Contact())
     Design().check(Contact())
 
@@ -178,7 +178,7 @@ def test_pairs_are_drawn_from_all_steps() -> None:
 
 
 def test_pairs_that_hw_phy_can_not_simulate_are_left_out_and_yet_counted() -> None:
-    def brittle(s: np.ndarray, a: np.ndarray) -> np.ndarray:
+    def brittle(s: np.ndarray, _: np.ndarray) -> np.ndarray:
         return np.where((s[:, :1] > 0) & [[True, False]], np.nan, s[:, :2])
 
     rollout, pairs = sampled(0, brittle)

@@ -58,7 +58,7 @@ def test_the_cost_of_a_design_is_its_divergence_from_the_dataset() -> None:
 def test_where_a_simulation_diverges_a_design_costs_as_much_as_the_farthest_that_did_not() -> None:
     class Brittle(Scales):
         def hw_phy(self, phi: np.ndarray) -> Any:
-            return lambda s, a: np.where((phi * s[:, :2] > 5).any(1)[:, None], np.nan, phi * s[:, :2])
+            return lambda s, _: np.where((phi * s[:, :2] > 5).any(1)[:, None], np.nan, phi * s[:, :2])
 
     dataset = Dataset(np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), np.zeros((2, 2)), np.zeros((2, 2)))
     costs = Physics(Brittle()).costs(dataset, np.array([[1.0, 0.0], [3.0, 0.0], [6.0, 0.0]]))
@@ -88,7 +88,7 @@ def test_the_gradient_stops_at_the_box_and_leaves_locks_alone() -> None:
 def test_without_a_gradient_in_phi_the_search_is_refused_with_the_choices() -> None:
     class Opaque(Scales):
         def hw_phy(self, phi: np.ndarray) -> Any:
-            return lambda s, a: phi * s[:, :2]
+            return lambda s, _: phi * s[:, :2]
 
     Gradient().check(Scales())
     with pytest.raises(ValueError, match='no gradient in phi: search by "cma" or "drift"'):
@@ -101,12 +101,12 @@ def test_without_a_gradient_in_phi_the_search_is_refused_with_the_choices() -> N
 
 
 def test_cma_starts_at_phi_with_the_step_of_its_settings_in_units_of_scale() -> None:
-    asked = problem(dataset_of([5.0, 6.0]))
-    Cma(population=2000, generations=1, sigma0=0.25).candidates(asked)
+    asked = problem(dataset_of([5.0, 6.0]), start=np.array([4.0, 3.0]))
+    Cma(population=1000, generations=1, sigma0=0.25).candidates(asked)
     first: np.ndarray = asked.physics.asked[0]  # pyright: ignore[reportAttributeAccessIssue]
-    assert first.shape == (2000, 2)
-    assert np.allclose(first.mean(0), START, atol=0.03)
-    assert np.allclose(first.std(0), [0.25, 0.25 * 2], rtol=0.06)
+    assert first.shape == (1000, 2)
+    assert np.allclose(first.mean(0), [4.0, 3.0], atol=0.05)
+    assert np.allclose(first.std(0), [0.25, 0.25 * 2], rtol=0.1)
 
 
 def test_cma_takes_its_generations_of_its_population_and_ends_where_hw_phy_matches() -> None:
@@ -229,7 +229,7 @@ def test_two_halves_of_the_designs_are_multiplied_and_neither_with_itself() -> N
 def test_what_a_rough_hw_phy_adds_to_a_half_does_not_shorten_the_step() -> None:
     class Rough(Scales):
         def hw_phy(self, phi: np.ndarray) -> Any:
-            return lambda s, a: phi * s[:, :2] + 5 * noise.standard_normal((len(s), 2))
+            return lambda s, _: phi * s[:, :2] + 5 * noise.standard_normal((len(s), 2))
 
     noise, steps = np.random.default_rng(0), []
     space = SPACE.with_lock("second", 2.0)
@@ -242,7 +242,7 @@ def test_what_a_rough_hw_phy_adds_to_a_half_does_not_shorten_the_step() -> None:
 def test_designs_that_can_not_be_simulated_change_nothing() -> None:
     class Brittle(Scales):
         def hw_phy(self, phi: np.ndarray) -> Any:
-            return lambda s, a: np.where(phi[:, :1] > 2.4, np.nan, phi * s[:, :2])
+            return lambda s, _: np.where(phi[:, :1] > 2.4, np.nan, phi * s[:, :2])
 
     found, _ = drifted([0.3, -0.4], search(), task=Brittle())
     assert np.isfinite(found).all()
