@@ -20,6 +20,7 @@ from tests.core.scales import (
     TINY,
     Multiplied,
     Scales,
+    linear,
     pairs_of,
     plain,
     proxy,
