@@ -45,8 +45,8 @@ def stale(mutant: Mutant, root: Path) -> str | None:
     return None
 
 
-def run_tests(tree: Path, tests: Sequence[str]) -> int | None:
-    """Return pytest's exit status in a tree; None where it hangs."""
+def run_tests(tree: Path, tests: Sequence[str]) -> tuple[int | None, str]:
+    """Return pytest's exit status in a tree, None where it hangs, and what it said."""
     environment = os.environ | {
         "PYTHONPATH": str(tree),
         "PYTHONDONTWRITEBYTECODE": "1",  # the time and size of a source may be those of the mutant before
@@ -55,9 +55,10 @@ def run_tests(tree: Path, tests: Sequence[str]) -> int | None:
     }
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "pytest_timeout", *tests]
     try:
-        return subprocess.run(command, cwd=tree, env=environment, capture_output=True, timeout=SECONDS).returncode
+        ended = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, timeout=SECONDS)
     except subprocess.TimeoutExpired:
-        return None
+        return None, f"not done after {SECONDS} s"
+    return ended.returncode, ended.stdout
 
 
 def verdict(mutant: Mutant, tree: Path) -> tuple[Verdict, str]:
@@ -68,12 +69,12 @@ def verdict(mutant: Mutant, tree: Path) -> tuple[Verdict, str]:
     text = file.read_text()
     file.write_text(text.replace(mutant.old, mutant.new))
     try:
-        status = run_tests(tree, mutant.tests)
+        status, said = run_tests(tree, mutant.tests)
     finally:
         file.write_text(text)
     if status == 0:
         return "SURVIVED", ""
-    return ("killed", "") if status in (1, None) else ("BROKEN", f"pytest ended with {status}")
+    return ("killed", "") if status in (1, None) else ("BROKEN", said.strip().rpartition("\n")[2])
 
 
 @contextlib.contextmanager
@@ -107,10 +108,10 @@ def judge(mutants: Sequence[Mutant], root: Path = ROOT, jobs: int = 1) -> int:
 
         first = trees.get()
         named = sorted({test for m in mutants if not stale(m, first) for test in m.tests})
-        sound = not named or run_tests(first, named) == 0
+        status, said = run_tests(first, named) if named else (0, "")
         trees.put(first)
-        if not sound:
-            print("without any mutant the named tests fail already: that is to be mended first")
+        if status != 0:
+            print(said, "Without any mutant the named tests fail already: that is to be mended first.", sep="\n")
             return 1
         for mutant, (word, reason) in zip(mutants, pool.map(ask, mutants), strict=True):
             counts[word] += 1

@@ -4,6 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
+import mujoco
 import numpy as np
 import torch
 from msgspec import Meta
@@ -123,6 +124,15 @@ class Scales(Settings, Task):
 
     def solved(self, reached: np.ndarray) -> np.ndarray:
         return reached.any(0)
+
+    def spec(self, phi: np.ndarray) -> mujoco.MjSpec:
+        return mujoco.MjSpec()
+
+    def scene(self, phi: np.ndarray) -> mujoco.MjSpec:
+        return mujoco.MjSpec()
+
+    def qpos(self, s: np.ndarray) -> np.ndarray:
+        return s
 
 
 def linear(weight: list[list[float]], bias: list[float] | None = None) -> nn.Linear:

@@ -75,11 +75,7 @@ def test_an_episode_that_ended_before_it_could_diverge_is_kept() -> None:
 
 @pytest.mark.parametrize(("ends", "steps"), [(2, 2), (0, 3)])
 def test_a_recorded_episode_has_its_steps_and_one_posture_more(ends: int, steps: int) -> None:
-    class Shown(Scales):
-        def qpos(self, s: np.ndarray) -> np.ndarray:
-            return s
-
-    task = Shown(ends=ends, succeeding=0.5, near=1.0)
+    task = Scales(ends=ends, succeeding=0.5, near=1.0)
     _, rollout = evaluate(task, started().control.policy, np.array([1.0, 2.0]), 2, np.random.default_rng(0), True)
     episode = record_episode(task, rollout, np.array([1.0, 2.0]))
     assert episode["qpos"][:, 2].tolist() == list(range(steps + 1))
