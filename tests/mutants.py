@@ -38,7 +38,7 @@ def stale(mutant: Mutant, root: Path) -> str | None:
     if found != 1:
         return f"{mutant.old!r} stands {found} times in {mutant.file}; it must stand there once"
     for test in mutant.tests:
-        path, *names = test.split("::")
+        path, *names = test.partition("[")[0].split("::")
         text = (root / path).read_text() if (root / path).is_file() else None
         if text is None or not all(re.search(rf"^\s*(def|class) {re.escape(name)}\b", text, re.M) for name in names):
             return f"there is no test {test}"

@@ -313,4 +313,101 @@ MUTANTS: tuple[Mutant, ...] = (
         ('start(task, method, 0, space)', "start(task, method, 0)"),
         ('optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})', "pass"),
     ),
+    # --- what users change ---
+    *_of(
+        f"{CORE}/edits.py", "core/test_steered.py",
+        ("alpha=float(alpha))", "alpha=in_force.alpha)"),
+        ("(in_force, projection=rule)", "(in_force, projection=in_force.projection)"),
+        ("inside = space.clip(phi)", "inside = phi"),
+        ("task.check_buildable(inside)", "pass"),
+        ("space=space, phi=inside", "phi=inside"),
+        ("return Edit(moved, message, True)", "return Edit(moved, message, False)"),
+        ("space.without_lock(name), phi)", "space, phi)"),
+        ("if value is None else value", "if value is None else float(phi[0])"),
+    ),
+    *_of(
+        f"{CORE}/edits.py", "core/test_edits.py::test_a_design_against_a_lock_is_refused_and_one_on_it_is_taken",
+        ("_check_locks(space, space.check(given))", "space.check(given)"),
+    ),
+    *_of(
+        f"{CORE}/train.py", "core/test_train.py::test_what_is_acknowledged_is_in_a_checkpoint_before_the_word",
+        ("accepted and isinstance(order.command, _SAVED_AFTER)", "False"),
+    ),
+    *_of(
+        f"{CORE}/train.py", "core/test_train.py::test_an_edit_of_the_design_lets_a_frozen_search_go_on",
+        ("state.frozen = state.frozen and not edit.concerns_design", "pass"),
+    ),
+    *_of(
+        f"{CORE}/train.py", "core/test_steered.py",
+        ("state.frozen and not edit.concerns_design", "False"),
+        ("state.fitted = state.fitted and bool(np.array_equal(after.phi, state.phi))", "pass"),
+        ("= after.space, after.phi, after.alpha, after.projection",
+         "= after.space, after.phi, after.alpha, state.projection"),
+        ("= after.space, after.phi, after.alpha, after.projection",
+         "= after.space, after.phi, state.alpha, after.projection"),
+    ),
+    *_of(
+        f"{CORE}/history.py", "core/test_history.py",
+        ("sorted(before, key=lambda e: e.seq)", "before"),
+        ("(e for e in self._changes if e.iteration < iteration)", "(e for e in self._changes)"),
+        ("self._changes = [e for e in self._changes if e.iteration <= iteration]", "pass"),
+        ("if event.accepted:", "if True:"),
+        ("alpha = before.alpha if alpha is None else alpha", "pass"),
+        ("space=space, phi=space.clip(before.phi)", "space=space"),
+    ),
+    *_of(
+        "studio/viewer/steer.py",
+        "studio/test_viewer.py::test_steering_sends_only_what_was_changed "
+        "studio/test_viewer.py::test_what_somebody_types_into_the_steering_form_stays_until_something_changes",
+        ("if alpha != in_force[0] else []", ""),
+        ("if in_force != self._in_force", "if True"),
+    ),
+    # --- environments ---
+    *_of(
+        f"{CORE}/envs/episodes.py",
+        "core/test_envs.py::test_an_episode_ends_at_the_horizon_and_neither_before_nor_after",
+        ("self._steps >= self._limit", "self._steps > self._limit"),
+        ("self._steps >= self._limit", "self._steps >= self._limit - 1"),
+    ),
+    *_of(
+        f"{CORE}/envs/episodes.py", "core/test_envs.py::test_physics_that_fails_truncates_and_says_so",
+        ("(diverged | (self._steps >= self._limit))", "(self._steps >= self._limit)"),
+        ("transition.terminated & ~diverged", "transition.terminated"),
+        ("np.where(diverged[:, None], before, transition.s)", "transition.s"),
+        ("np.where(diverged, 0.0, transition.reward)", "transition.reward"),
+        ('"diverged": diverged', '"diverged": diverged & False'),
+    ),
+    *_of(
+        f"{CORE}/envs/episodes.py",
+        "core/test_envs.py::test_the_vector_environment_is_sync_vector_env_over_episodes_that_restart[reacher]",
+        ("self._steps[chosen], self._begun[chosen], self._ended[chosen] = 0, True, False",
+         "self._begun[chosen], self._ended[chosen] = True, False"),
+    ),
+    *_of(
+        f"{CORE}/envs/vector.py",
+        "core/test_envs.py::test_the_vector_environment_is_sync_vector_env_over_episodes_that_restart[reacher]",
+        ("np.where(restarted, 0.0, outcome.reward)", "outcome.reward"),
+        ("outcome.truncated & ~restarted", "outcome.truncated"),
+    ),
+    *_of(
+        f"{CORE}/envs/arguments.py",
+        "core/test_envs.py::test_the_vector_environment_is_sync_vector_env_over_episodes_that_restart[reacher]",
+        ("first + i for i in", "first for i in"),
+    ),
+    # --- what a browser may say ---
+    *_of(
+        "studio/bridge.py", "studio/test_bridge.py::test_a_number_that_is_none_is_dropped_wherever_it_stands",
+        (" or not _is_finite(content)", ""),
+        ("all(_is_finite(item) for item in value.values())", "True"),
+        ("return all(_is_finite(item) for item in value)\n", "return True\n"),
+    ),
+    *_of(
+        "studio/bridge.py", "studio/test_bridge.py::test_only_allowed_kinds_are_admitted",
+        ('content.get("type") not in ALLOWED | UPLOADS', '"type" not in content'),
+    ),
+    *_of(
+        "studio/bridge.py",
+        "studio/test_bridge.py::test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives",
+        ('isinstance(updates, dict) and set(updates) <= {"value"}', "isinstance(updates, dict)"),
+    ),
 )  # fmt: skip
