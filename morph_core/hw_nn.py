@@ -119,13 +119,13 @@ class HwNN:
                 write_gradient(psi, project(g_task, g_hw, state.projection) + state.alpha * g_hw)
                 self.optimizer.step()
                 state.memory.learn(features[index], target[index])
-        index = torch.linspace(0, len(pairs) - 1, min(shown_pairs, len(pairs))).long()  # spread evenly
+        shown = torch.linspace(0, len(pairs) - 1, min(shown_pairs, len(pairs))).long()  # spread evenly
         with torch.no_grad():
-            m = self.proxy(features[index])
+            m = self.proxy(features[shown])
+        index = shown.numpy()  # to NumPy, a tensor of one number is a number
         shares = cosine_by_parameter(
-            hw_phy, pairs.s[index], pairs.a[index],
-            g_task=pull(m.numpy(), index.numpy()), g_hw=(m - target[index]).numpy(),
-        )  # fmt: skip
+            hw_phy, pairs.s[index], pairs.a[index], g_task=pull(m.numpy(), index), g_hw=(m - target[shown]).numpy()
+        )
         negative = float(np.mean(np.array(cosines) < 0))
         return ProxyUpdate(float(np.mean(divergences)), float(np.mean(cosines)), negative, shares)
 

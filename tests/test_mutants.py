@@ -1,0 +1,84 @@
+"""The list of mutants fits the code, and the script tells the living from the dead."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.mutants import ROOT, chosen, judge, stale
+from tests.mutations import MUTANTS, Mutant
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """Return a project of two functions, of which one is tested."""
+    (tmp_path / "thing.py").write_text("def held():\n    return 1 + 1\n\n\ndef loose():\n    return 2 + 2\n")
+    (tmp_path / "test_thing.py").write_text("from thing import held\n\n\ndef test_held():\n    assert held() == 2\n")
+    return tmp_path
+
+
+HELD = Mutant("thing.py", "1 + 1", "1 - 1", ("test_thing.py",))
+LOOSE = Mutant("thing.py", "2 + 2", "2 - 2", ("test_thing.py::test_held",))
+BROKEN = Mutant("thing.py", "def held", "def gone", ("test_thing.py",))
+"""The import of its test fails: that is no failed test."""
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=str)
+def test_every_mutant_still_fits_the_code_and_its_tests_exist(mutant: Mutant) -> None:
+    assert stale(mutant, ROOT) is None
+    assert mutant.new != mutant.old
+
+
+def test_there_are_enough_of_them_and_none_twice() -> None:
+    assert len(MUTANTS) >= 60
+    assert len({(m.file, m.old, m.new) for m in MUTANTS}) == len(MUTANTS)
+
+
+def test_every_mutant_gets_its_word_and_those_that_live_stand_at_the_end(
+    tree: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (tree / "thing.py").read_text()
+    assert judge([LOOSE, HELD, BROKEN], tree, jobs=2) == 1
+    assert (tree / "thing.py").read_text() == text
+    *words, gap, survivor, broken, reason, counts = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in words] == ["SURVIVED", "killed", "BROKEN", "1"]
+    assert (gap, counts) == ("", "1 SURVIVED, 1 killed, 1 BROKEN")
+    assert survivor == f"SURVIVED  {LOOSE}"
+    assert [broken, reason] == words[2:]
+
+
+def test_where_all_are_killed_all_is_well(tree: Path) -> None:
+    assert judge([HELD], tree) == 0
+
+
+@pytest.mark.parametrize(
+    ("mutant", "reason"),
+    [
+        (Mutant("thing.py", "3 + 3", "", ("test_thing.py",)), "stands 0 times in thing.py"),
+        (Mutant("thing.py", "return", "", ("test_thing.py",)), "stands 2 times in thing.py"),
+        (Mutant("gone.py", "1 + 1", "", ("test_thing.py",)), "stands 0 times in gone.py"),
+        (Mutant("thing.py", "1 + 1", "", ("test_thing.py::test_gone",)), "no test test_thing.py::test_gone"),
+        (Mutant("thing.py", "1 + 1", "", ("test_gone.py",)), "no test test_gone.py"),
+    ],
+)
+def test_a_mutant_that_no_longer_fits_is_as_bad_as_one_that_lives(
+    tree: Path, capsys: pytest.CaptureFixture[str], mutant: Mutant, reason: str
+) -> None:
+    assert reason in (stale(mutant, tree) or "")
+    assert judge([mutant], tree) == 1
+    assert capsys.readouterr().out.endswith("1 STALE\n")
+
+
+def test_tests_that_fail_without_a_mutant_prove_nothing(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tree / "test_thing.py").write_text("def test_held():\n    assert False\n")
+    assert judge([HELD], tree) == 1
+    said = capsys.readouterr().out
+    assert "assert False" in said
+    assert "killed" not in said
+
+
+def test_a_sample_is_of_those_that_fit_and_the_same_for_a_seed() -> None:
+    fitting = chosen(MUTANTS, "rollout", None, None)
+    assert fitting
+    assert all("rollout" in m.file + m.old for m in fitting)
+    assert chosen(MUTANTS, None, 10, 3) == chosen(MUTANTS, None, 10, 3) != chosen(MUTANTS, None, 10, 4)
+    assert len(chosen(MUTANTS, "rollout", 2, 0)) == 2
