@@ -52,12 +52,12 @@ _.transfer_uuid
 _.bridge
 _.TaskEnv
 _.TaskVectorEnv
+_.np_random_seed
 _.observation_space
+_.render
 
 # Tests look through them.
 _.charts
-_.decode_command
-_.servo_flange
 
 # Classes that the catalogue finds in their folder, by name.
 _.Gaussian
@@ -66,9 +66,7 @@ _.MouseClick
 _.PenPress
 _.Reacher
 
-# Python asks for these.
+# Python and torch ask for these.
 _.__getattr__
+_.forward
 _.memo
-
-# A part of the task's contract, for those who write a task.
-_.DifferentiableHardware

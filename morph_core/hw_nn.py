@@ -13,7 +13,7 @@ from morph_core.exploration import Pull, Relabelled
 from morph_core.gradients import cosine, flatten, project, write_gradient
 from morph_core.networks import Proxy, minibatches
 from morph_core.parts import Ppo, ProxyFit
-from morph_core.task import Hardware, Task
+from morph_core.task import DifferentiableHardware, Hardware, Task
 
 if TYPE_CHECKING:
     from morph_core.state import State
@@ -137,10 +137,9 @@ def cosine_by_parameter(
 
     None where Hw-Phy is not differentiable, and for a parameter that moves nothing in these n pairs.
     """
-    jacobian = getattr(hw_phy, "jacobian", None)
-    if jacobian is None:
+    if not isinstance(hw_phy, DifferentiableHardware):
         return None
-    along_task, along_hw = (np.einsum("nzi,nz->ni", jacobian(s, a), g) for g in (g_task, g_hw))
+    along_task, along_hw = (np.einsum("nzi,nz->ni", hw_phy.jacobian(s, a), g) for g in (g_task, g_hw))
     norms = np.linalg.norm(along_task, axis=0) * np.linalg.norm(along_hw, axis=0)
     dots = (along_task * along_hw).sum(0)
     return [float(dot / norm) if norm > 0 else None for dot, norm in zip(dots, norms, strict=True)]

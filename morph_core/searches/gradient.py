@@ -7,7 +7,7 @@ import numpy as np
 
 from morph_core.config import Count
 from morph_core.search import Problem, Search
-from morph_core.task import Task
+from morph_core.task import DifferentiableHardware, Task
 
 
 @dataclass(frozen=True)
@@ -20,19 +20,17 @@ class Gradient(Search):
     name: ClassVar[str] = "gradient"
 
     def check(self, task: Task) -> None:
-        if not hasattr(task.hw_phy(task.design_space.initial), "jacobian"):
-            raise ValueError(f'the Hw-Phy of {task.name} has no gradient in phi: search by "cma" or "drift"')
+        _differentiable(task, task.design_space.initial)
 
     def candidates(self, problem: Problem) -> np.ndarray:
         return np.stack([problem.start, self._descended(problem)])
 
     def _descended(self, problem: Problem) -> np.ndarray:
         """Descend with the step 1 / L of the divergence's curvature L at the start."""
-        self.check(problem.physics.task)
         dataset, phi, step = problem.dataset, problem.start, None
         for _ in range(self.steps):
-            hw_phy = problem.physics.task.hw_phy(phi)
-            dz = hw_phy.jacobian(dataset.s, dataset.a)  # (n, z, d)  # pyright: ignore[reportAttributeAccessIssue]
+            hw_phy = _differentiable(problem.physics.task, phi)
+            dz = hw_phy.jacobian(dataset.s, dataset.a)  # (n, z, d)
             residual = hw_phy(dataset.s, dataset.a) - dataset.z
             if step is None:
                 curvature = 2 * np.einsum("nzi,nzj->ij", dz, dz) / len(residual)
@@ -40,3 +38,11 @@ class Gradient(Search):
             gradient = 2 * np.einsum("nzi,nz->i", dz, residual) / len(residual)
             phi = problem.space.clip(phi - step * gradient)
         return phi
+
+
+def _differentiable(task: Task, phi: np.ndarray) -> DifferentiableHardware:
+    """Return Hw-Phy with phi (d,); raise ValueError where it has no gradient in phi."""
+    hw_phy = task.hw_phy(phi)
+    if not isinstance(hw_phy, DifferentiableHardware):
+        raise ValueError(f'the Hw-Phy of {task.name} has no gradient in phi: search by "cma" or "drift"')
+    return hw_phy
