@@ -12,6 +12,8 @@ from studio.export.errors import ExportError
 
 FILE = "design.json"
 KIND = "morph-studio design"
+FORMAT = 1
+"""Format of design.json, which has not changed since the first version."""
 DESIGN_TYPES = "application/json,application/zip"
 """What a browser is asked for: a design.json, or a bundle."""
 
@@ -39,11 +41,18 @@ class PartEntry(msgspec.Struct, frozen=True):
     """kg: the mass of one such part."""
 
 
+class _Head(msgspec.Struct, frozen=True):
+    """What a design.json of any format has."""
+
+    kind: str
+    format: int
+
+
 class Design(msgspec.Struct, frozen=True, kw_only=True):
     """design.json."""
 
     kind: str = KIND
-    format: int = 1
+    format: int = FORMAT
     task: str
     task_options: dict[str, object]
     robot: str
@@ -71,14 +80,16 @@ def read_design(content: bytes) -> Design:
             raise ExportError(f"this zip holds no {FILE}: it is no bundle of morph-studio")
         content = files[FILE]
     try:
-        design = msgspec.json.decode(content, type=Design)
+        head = msgspec.json.decode(content, type=_Head)
+        if head.kind != KIND:
+            raise ExportError(f"this is no {FILE} of morph-studio: its kind is {head.kind[:40]!r}")
+        if head.format > FORMAT:
+            raise ExportError(
+                f"this {FILE} has format {head.format}; this version knows {FORMAT}: read it with a newer morph-studio"
+            )
+        return msgspec.json.decode(content, type=Design)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ExportError(f"this is no {FILE} of morph-studio: {error}") from error
-    if design.kind != KIND or design.format != 1:
-        raise ExportError(
-            f"this is no {FILE} of morph-studio: its kind is {design.kind[:40]!r}, format {design.format}"
-        )
-    return design
 
 
 def load_design(path: Path) -> Design:

@@ -1,0 +1,31 @@
+"""A bundle that was exported while settings were one flat list is still one robot, and a run can begin with it."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from morph_core.catalogue import make_task
+from studio.cli import run
+from studio.export.design_file import load_design, read_design, starting_from
+from studio.export.errors import ExportError
+
+BUNDLE = Path(__file__).parents[1] / "data" / "format_1" / "reacher.zip"
+
+
+def test_an_old_bundle_is_verified(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["verify", str(BUNDLE)]) == 0
+    assert "checks agree" in capsys.readouterr().out
+
+
+def test_a_run_can_begin_with_an_old_design() -> None:
+    design = load_design(BUNDLE)
+    task = make_task(design.task, design.task_options)
+    assert [p.initial for p in starting_from(design, task.design_space)] == [p.value for p in design.parameters]
+
+
+def test_a_design_of_a_newer_format_is_refused_with_what_reads_it() -> None:
+    fields = msgspec.to_builtins(load_design(BUNDLE)) | {"format": 2, "parameters": "in another form"}
+    newer = msgspec.json.encode(fields)
+    with pytest.raises(ExportError, match="has format 2; this version knows 1: read it with a newer morph-studio"):
+        read_design(newer)
