@@ -14,12 +14,11 @@ import tyro
 from gymnasium.vector import SyncVectorEnv
 
 import morph_core.envs  # noqa: F401 - registers the tasks
-from morph_core.config import Config
-from morph_core.objective import improve_control, make_batch
-from morph_core.rollout import Rollout, collect
+from morph_core.catalogue import make_method, make_task
+from morph_core.exploration import run_trajectories
+from morph_core.rollout import Rollout
 from morph_core.state import State, start
 from morph_core.task import Task
-from morph_core.catalogue import make_task
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ def through_gymnasium(envs: SyncVectorEnv, task: Task, state: State, seed: int) 
     alive = np.ones(envs.num_envs, dtype=bool)
     rows = []
     for _ in range(task.horizon):
-        action = state.learner.policy.act(observation, state.rng)
+        action = state.control.policy.act(observation, state.rng)
         following, reward, terminated, truncated, _ = envs.step(action)
         rows.append((observation, action, reward, alive, terminated))
         observation, alive = following, alive & ~(terminated | truncated)
@@ -50,33 +49,27 @@ def through_gymnasium(envs: SyncVectorEnv, task: Task, state: State, seed: int) 
     )  # fmt: skip
 
 
-def through_morph(task: Task, config: Config, state: State) -> Rollout:
+def through_morph(task: Task, trajectories: int, state: State) -> Rollout:
     """Collect one episode per environment as the methods do."""
-    hw_phy = task.hw_phy(np.tile(state.phi, (config.trajectories, 1)))
-    return collect(
-        task,
-        lambda observation: state.learner.policy.act(observation, state.rng),
-        hw_phy,
-        task.reset(hw_phy, config.trajectories, state.rng),
-    )
+    return run_trajectories(task, state, task.hw_phy(np.tile(state.phi, (trajectories, 1))), trajectories)
 
 
 def main(options: Speed) -> None:
     torch.set_num_threads(1)
     task = make_task(options.task)
-    config = task.config
-    ids = [f"morph/{task.name.title().replace('_', '')}-v0"] * config.trajectories
+    method = make_method("no_hw_opt", task)
+    ids = [f"morph/{task.name.title().replace('_', '')}-v0"] * method.trajectories
     envs = SyncVectorEnv([lambda name=name: gymnasium.make(name) for name in ids])
-    ours, theirs = start(task, config, 0), start(task, config, 0)
+    ours, theirs = start(task, method, 0), start(task, method, 0)
     seconds, steps = {"ours": 0.0, "SyncVectorEnv": 0.0}, {"ours": 0, "SyncVectorEnv": 0}
     for iteration in range(1, options.iterations + 1):
         for side, state in (("ours", ours), ("SyncVectorEnv", theirs)):
             began = time.process_time()
             if side == "ours":
-                rollout = through_morph(task, config, state)
+                rollout = through_morph(task, method.trajectories, state)
             else:
                 rollout = through_gymnasium(envs, task, state, iteration)
-            improve_control(state, make_batch(task, state.learner, rollout, config), iteration, config)
+            state.control.learn(state, rollout, iteration)
             seconds[side] += time.process_time() - began
             steps[side] += rollout.steps
     rate = {side: steps[side] / seconds[side] for side in seconds}
