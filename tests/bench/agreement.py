@@ -4,7 +4,7 @@ While morph trains, the natural-evolution step of the very episodes between two 
 phi)]) is set beside the step that the search takes from the proxy, both in units of each parameter's scale.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +12,10 @@ import numpy as np
 import torch
 import tyro
 
-from morph_core import morph as method
-from morph_core.catalogue import make_task
-from morph_core.exploration import episode_advantage
+from morph_core import morph as algorithm
+from morph_core.catalogue import make_method, make_task
+from morph_core.explorations.design import Design
+from morph_core.methods.proxy import Morph
 from morph_core.rollout import Rollout
 from morph_core.state import State, start
 from morph_core.task import Task
@@ -40,27 +41,30 @@ class Steps:
     direct: np.ndarray
 
 
-def watched(task: Task, state: State) -> list[Steps]:
-    """Return the list that is filled while `state` trains."""
-    config, scale, steps, asked = task.config, task.design_space.scale, [], np.zeros(len(task.design_space))
-    collect: Callable[..., Rollout] = method.run_trajectories
-    search: Callable[..., Search] = method.derive_design
+def watched(task: Task, method: Morph, state: State, iterations: int) -> Iterator[Steps]:
+    """Train, and yield both steps at every search for phi."""
+    exploration, scale, asked = method.exploration, task.design_space.scale, np.zeros(len(task.design_space))
+    assert isinstance(exploration, Design)
+    collect = algorithm.run_trajectories
 
     def run_trajectories(*arguments: Any) -> Rollout:
         rollout = collect(*arguments)
         if rollout.holds_enough and state.explored is not None:
-            advantage = episode_advantage(rollout.returns, config)
+            advantage = exploration.advantage(rollout.returns)
             asked[:] += (advantage[:, None] * (state.explored[rollout.kept] - state.phi)).mean(0) / scale
         return rollout
 
-    def derive_design(task: Task, space: object, dataset: object, phi: np.ndarray, *rest: Any) -> Search:
-        found = search(task, space, dataset, phi, *rest)
-        steps.append(Steps(state.iteration + 1, (found.phi - phi) / scale, asked.copy()))
-        asked[:] = 0
-        return found
-
-    method.run_trajectories, method.derive_design = run_trajectories, derive_design
-    return steps
+    algorithm.run_trajectories = run_trajectories
+    try:
+        before = state.phi
+        for progress in method.iterations(task, state):
+            if progress.search_cost is not None:
+                yield Steps(progress.iteration, (state.phi - before) / scale, asked.copy())
+                before, asked[:] = state.phi, 0
+            if progress.iteration >= iterations:
+                return
+    finally:
+        algorithm.run_trajectories = collect
 
 
 def cosine(one: np.ndarray, other: np.ndarray) -> float:
@@ -70,14 +74,11 @@ def cosine(one: np.ndarray, other: np.ndarray) -> float:
 def main(options: Agreement) -> None:
     torch.set_num_threads(1)
     task = make_task(options.task)
-    originals = method.run_trajectories, method.derive_design
+    method = make_method("morph", task)
+    if not isinstance(method, Morph) or not isinstance(method.exploration, Design):
+        raise SystemExit(f"{options.task} is not explored by design")
     for seed in options.seeds:
-        state = start(task, task.config, seed)
-        method.run_trajectories, method.derive_design = originals
-        steps = watched(task, state)
-        for progress in method.morph(task, task.config, state):
-            if progress.iteration >= options.iterations:
-                break
+        steps = list(watched(task, method, start(task, method, seed), options.iterations))
         for first in range(1, options.iterations + 1, options.every):
             some = [s for s in steps if first <= s.iteration < first + options.every]
             if not some:

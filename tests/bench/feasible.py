@@ -14,7 +14,9 @@ import numpy as np
 import torch
 import tyro
 
+from morph_core.catalogue import make_method, read_method
 from morph_core.checkpoint import load_checkpoint
+from morph_core.exploration import run_trajectories
 from morph_core.networks import Policy
 from morph_core.rollout import collect
 from morph_core.run_folder import RunFolder
@@ -43,14 +45,15 @@ def draw(task: Reacher, count: int, rng: np.random.Generator) -> np.ndarray:
 
 def train_on_the_box(task: Reacher, iterations: int, seed: int) -> Policy:
     """Return a policy that has met a new design in every episode."""
-    config, state = task.config, start(task, task.config, seed)
+    method = make_method("no_hw_opt", task)
+    state = start(task, method, seed)
     for iteration in range(1, iterations + 1):
-        set_learning_rates(state.learner, iteration, config)
-        hw_phy = task.hw_phy(draw(task, config.trajectories, state.rng))
-        s = task.reset(hw_phy, config.trajectories, state.rng)
-        rollout = collect(task, lambda observation: state.learner.policy.act(observation, state.rng), hw_phy, s)
-        improve_control(state, make_batch(task, state.learner, rollout, config), iteration, config)
-    return state.learner.policy
+        state.set_learning_rates(method, iteration)
+        rollout = run_trajectories(
+            task, state, task.hw_phy(draw(task, method.trajectories, state.rng)), method.trajectories
+        )
+        state.control.learn(state, rollout, iteration)
+    return state.control.policy
 
 
 def touches(task: Reacher, policy: Policy, designs: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -66,8 +69,8 @@ def main(options: Feasible) -> None:
     policies = {"trained on the box": train_on_the_box(task, options.iterations, options.seed)}
     for path in options.checkpoints:
         folder = RunFolder(path)
-        state, _ = load_checkpoint(folder, folder.checkpoint_iterations()[-1], task, task.config)
-        policies[path.name] = state.learner.policy
+        state, _ = load_checkpoint(folder, folder.checkpoint_iterations()[-1], task, read_method(folder.record()))
+        policies[path.name] = state.control.policy
     designs = draw(task, options.designs, rng)
     initial = np.tile(task.design_space.initial, (options.designs, 1))
     found, found_initial = np.zeros(options.designs, dtype=bool), 0

@@ -18,21 +18,29 @@ import numpy as np
 import torch
 import tyro
 
-from morph_core import morph as method
-from morph_core.catalogue import make_task
-from morph_core.config import Config
-from morph_core.exploration import explored_world, run_trajectories
+from morph_core import morph as algorithm
+from morph_core.catalogue import make_method, make_task
+from morph_core.control import Control
+from morph_core.exploration import run_trajectories
+from morph_core.explorations.design import Design
+from morph_core.hw_nn import HwNN
+from morph_core.methods.proxy import Morph
 from morph_core.rollout import Rollout
-from morph_core.state import start
+from morph_core.state import State, start
 from morph_core.tasks.grasp import GraspTask
 from morph_core.tasks.simulation import SUBSTEPS, HandPhysics
 
-PARTS = {
-    "explored_world": "designs drawn and compiled", "run_trajectories": "trajectories", "fit_proxy": "first fit",
-    "relabel_on_hardware": "relabelling for Eq. 2", "improve_control": "policy and critic", "improve_proxy": "proxy",
-    "relabel": "search for phi", "derive_design": "search for phi",
-}  # fmt: skip
-"""Functions of morph_core.morph -> what they are counted as."""
+PARTS: tuple[tuple[Any, str, str], ...] = (
+    (State, "fit_proxy", "first fit"),
+    (Design, "world", "designs drawn and compiled"),
+    (algorithm, "run_trajectories", "trajectories"),
+    (algorithm, "relabel_on_hardware", "relabelling for Eq. 2"),
+    (Control, "learn", "policy and critic"),
+    (HwNN, "improve", "proxy"),
+    (algorithm, "relabel", "search for phi"),
+    (algorithm, "derive_design", "search for phi"),
+)
+"""What Algorithm 1 calls: where it is, its name, and what it is counted as."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +94,16 @@ def stepped(task: GraspTask, physics: HandPhysics, rollout: Rollout) -> None:
         s = task.step(physics, s, action).s
 
 
-def compare(task: GraspTask, config: Config, rounds: int) -> None:
+def compare(task: GraspTask, method: Morph, rounds: int) -> None:
     """Print the steps per second of both sides and their ratio."""
-    state = start(task, config, 0)
+    state = start(task, method, 0)
+    spread = method.exploration.spread(method.schedule, 1, frozen=False)
     sides: dict[str, list[Seconds]] = defaultdict(list)
     steps, identical = 0, True
     for _ in range(rounds):
-        world, compiled = timed(lambda: explored_world(task, state, config, config.design_sigma))
+        world, compiled = timed(lambda: method.exploration.world(task, state, spread, method.trajectories))
         assert isinstance(world, HandPhysics)
-        rollout, seconds = timed(lambda world=world: run_trajectories(task, state, world, config))
+        rollout, seconds = timed(lambda world=world: run_trajectories(task, state, world, method.trajectories))
         sides["compiling the designs"].append(compiled)
         sides["collecting"].append(seconds)
         s, a = rollout.s, rollout.a
@@ -109,7 +118,7 @@ def compare(task: GraspTask, config: Config, rounds: int) -> None:
         identical &= np.array_equal(last, task.qpos(rollout.last_s))
         steps += rollout.episodes * task.horizon
     total = {side: Seconds(sum(x.wall for x in each), sum(x.cpu for x in each)) for side, each in sides.items()}
-    print(f"{task.name}: {config.trajectories} designs at once, {len(os.sched_getaffinity(0))} threads")
+    print(f"{task.name}: {method.trajectories} designs at once, {len(os.sched_getaffinity(0))} threads")
     for side in ("collecting", "stepping", "bare"):
         wall, cpu = steps / total[side].wall, steps / total[side].cpu
         print(f"{side}: {wall:,.0f} environment steps/s, {cpu:,.0f} per CPU second")
@@ -120,22 +129,22 @@ def compare(task: GraspTask, config: Config, rounds: int) -> None:
     print(f"compiling, besides: {100 * total['compiling the designs'].cpu / total['bare'].cpu:.1f} % (cpu) of it")
 
 
-def spend(task: GraspTask, config: Config, iterations: int) -> None:
+def spend(task: GraspTask, method: Morph, iterations: int) -> None:
     """Print the share of each part of a morph run."""
     spent: dict[str, float] = defaultdict(float)
 
     def watched(function: Callable[..., Any], part: str) -> Callable[..., Any]:
-        def call(*arguments: Any) -> Any:
-            result, seconds = timed(lambda: function(*arguments))
+        def call(*arguments: Any, **named: Any) -> Any:
+            result, seconds = timed(lambda: function(*arguments, **named))
             spent[part] += seconds.cpu
             return result
 
         return call
 
-    for name, part in PARTS.items():
-        setattr(method, name, watched(getattr(method, name), part))
-    state = start(task, config, 0)
-    _, whole = timed(lambda: list(itertools.islice(method.morph(task, config, state), iterations)))
+    for owner, name, part in PARTS:
+        setattr(owner, name, watched(getattr(owner, name), part))
+    state = start(task, method, 0)
+    _, whole = timed(lambda: list(itertools.islice(method.iterations(task, state), iterations)))
     spent["the rest"] = whole.cpu - sum(spent.values())
     print(
         f"{iterations} iterations of morph: {whole.cpu:.1f} CPU-s, {state.env_steps + state.relabelled_steps:,} steps"
@@ -149,8 +158,10 @@ def main(options: Hands) -> None:
     task = make_task(options.task)
     if not isinstance(task, GraspTask):
         raise SystemExit(f"{options.task} is no task of a hand")
-    compare(task, task.config, options.rounds)
-    spend(task, task.config, options.iterations)
+    method = make_method("morph", task)
+    assert isinstance(method, Morph)
+    compare(task, method, options.rounds)
+    spend(task, method, options.iterations)
 
 
 if __name__ == "__main__":

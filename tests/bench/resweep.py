@@ -11,6 +11,7 @@ import numpy as np
 import torch
 import tyro
 
+from morph_core.catalogue import read_method
 from morph_core.checkpoint import load_checkpoint
 from morph_core.episodes import evaluate
 from morph_core.rollout import Rollout
@@ -50,14 +51,14 @@ def main(options: Resweep) -> None:
     print("policy | success | with the finer sweep | deepest link in a wall (m), over 32 episodes")
     for path in options.checkpoints:
         folder = RunFolder(path)
-        state, _ = load_checkpoint(folder, folder.checkpoint_iterations()[-1], task, task.config)
+        state, _ = load_checkpoint(folder, folder.checkpoint_iterations()[-1], task, read_method(folder.record()))
         success = {}
         for sampled in (True, False):
             for world in (task, finer):
                 rng = np.random.default_rng(1)
-                score, _ = evaluate(world, state.learner.policy, state.phi, options.episodes, rng, sampled)
+                score, _ = evaluate(world, state.control.policy, state.phi, options.episodes, rng, sampled)
                 success[sampled, world.sweep_resolution] = score.success
-        _, rollout = evaluate(task, state.learner.policy, state.phi, 32, np.random.default_rng(2), sampled=True)
+        _, rollout = evaluate(task, state.control.policy, state.phi, 32, np.random.default_rng(2), sampled=True)
         columns = [
             f"sampled {success[True, step]:.3f} det {success[False, step]:.3f}"
             for step in (task.sweep_resolution, finer.sweep_resolution)

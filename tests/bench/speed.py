@@ -13,9 +13,10 @@ import torch
 import tyro
 from gymnasium.vector import SyncVectorEnv
 
-from morph_core.config import Config
+from morph_core.catalogue import make_method, make_task
 from morph_core.envs import env_id
-from morph_core.rollout import Rollout, collect
+from morph_core.exploration import run_trajectories
+from morph_core.rollout import Rollout
 from morph_core.state import State, start
 from morph_core.task import Task
 
@@ -35,7 +36,7 @@ def through_gymnasium(envs: SyncVectorEnv, task: Task, state: State, seed: int) 
     alive = np.ones(envs.num_envs, dtype=bool)
     rows = []
     for _ in range(task.horizon):
-        action = state.learner.policy.act(observation, state.rng)
+        action = state.control.policy.act(observation, state.rng)
         following, reward, terminated, truncated, _ = envs.step(action)
         rows.append((observation, action, reward, alive, terminated))
         observation, alive = following, alive & ~(terminated | truncated)
@@ -48,32 +49,26 @@ def through_gymnasium(envs: SyncVectorEnv, task: Task, state: State, seed: int) 
     )  # fmt: skip
 
 
-def through_morph(task: Task, config: Config, state: State) -> Rollout:
+def through_morph(task: Task, trajectories: int, state: State) -> Rollout:
     """Collect one episode per environment as the methods do."""
-    hw_phy = task.hw_phy(np.tile(state.phi, (config.trajectories, 1)))
-    return collect(
-        task,
-        lambda observation: state.learner.policy.act(observation, state.rng),
-        hw_phy,
-        task.reset(hw_phy, config.trajectories, state.rng),
-    )
+    return run_trajectories(task, state, task.hw_phy(np.tile(state.phi, (trajectories, 1))), trajectories)
 
 
 def main(options: Speed) -> None:
     torch.set_num_threads(1)
     task = make_task(options.task)
-    config = task.config
-    envs = SyncVectorEnv([lambda: gymnasium.make(env_id(task.name))] * config.trajectories)
-    ours, theirs = start(task, config, 0), start(task, config, 0)
+    method = make_method("no_hw_opt", task)
+    envs = SyncVectorEnv([lambda: gymnasium.make(env_id(task.name))] * method.trajectories)
+    ours, theirs = start(task, method, 0), start(task, method, 0)
     seconds, steps = {"ours": 0.0, "SyncVectorEnv": 0.0}, {"ours": 0, "SyncVectorEnv": 0}
     for iteration in range(1, options.iterations + 1):
         for side, state in (("ours", ours), ("SyncVectorEnv", theirs)):
             began = time.process_time()
             if side == "ours":
-                rollout = through_morph(task, config, state)
+                rollout = through_morph(task, method.trajectories, state)
             else:
                 rollout = through_gymnasium(envs, task, state, iteration)
-            improve_control(state, make_batch(task, state.learner, rollout, config), iteration, config)
+            state.control.learn(state, rollout, iteration)
             seconds[side] += time.process_time() - began
             steps[side] += rollout.steps
     rate = {side: steps[side] / seconds[side] for side in seconds}

@@ -8,7 +8,6 @@ Hw-Phy is a simulation, the steps that relabelling and the search for phi took a
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,15 @@ import numpy as np
 import torch
 import tyro
 
-from morph_core.catalogue import make_task
+from morph_core.catalogue import make_method, make_task
 from morph_core.checkpoint import save_checkpoint
-from morph_core.config import Method, config_from
+from morph_core.config import recorded
 from morph_core.episodes import evaluate
-from morph_core.protocol import Progress
-from morph_core.run_folder import RunFolder
+from morph_core.method import Method
+from morph_core.protocol import FORMAT, Progress, RunRecord
+from morph_core.run_folder import RunFolder, create_run
 from morph_core.state import start
-from morph_core.train import METHODS
+from morph_core.task import Task
 
 FINAL_EPISODES = 256
 
@@ -34,7 +34,7 @@ class Study:
     """Which runs to make."""
 
     task: str = "reacher"
-    method: Method = "morph"
+    method: str = "morph"
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     env_steps: float = 0.7e6
     """Budget per run."""
@@ -47,13 +47,13 @@ class Study:
     cores: tuple[int, ...] = ()
     """Run on these cores alone, so that several studies can share a machine."""
     set: dict[str, str] = field(default_factory=dict)
-    """Config fields, such as --set projection one_sided alpha 2."""
+    """Settings of the method, such as --set projection one_sided search drift search.ridge 2.5."""
     option: dict[str, str] = field(default_factory=dict)
     """Task options, such as --option tunnel paper."""
     out: Path | None = None
     """Append each row to this file as a line of JSON."""
     checkpoints: Path | None = None
-    """Keep the last state of each run as a checkpoint below this folder."""
+    """Keep each run with its last state as a checkpoint below this folder."""
 
 
 @dataclass
@@ -92,22 +92,22 @@ class Row:
 def run_one(study: Study, settings: dict[str, Any], options: dict[str, Any], seed: int) -> Row:
     """Train one seed within the budget."""
     task = make_task(study.task, options)
-    config = config_from(settings, task.config)
+    method = make_method(study.method, task, settings)
+    kept = keep(study, task, method, options, seed) if study.checkpoints else None
     row = Row(study.method, {**settings, **options}, seed)
     began = time.process_time()
-    state = start(task, config, seed)
-    iterate: Callable[..., Iterator[Progress]] = METHODS[study.method]
+    state = start(task, method, seed)
     history: list[Progress] = []
     simulated = not hasattr(task.hw_phy(state.phi), "jacobian")
     control_start = 0
-    for progress in iterate(task, config, state):
+    for progress in method.iterations(task, state):
         history.append(progress)
         taken = state.env_steps + simulated * state.relabelled_steps
         row.restarts += state.control_start != control_start
         control_start = state.control_start
-        if progress.iteration % config.evaluation_interval == 0:
+        if progress.iteration % method.evaluation.interval == 0:
             rng = np.random.default_rng([seed, progress.iteration])
-            policy, episodes = state.learner.policy, config.evaluation_episodes
+            policy, episodes = state.control.policy, method.evaluation.episodes
             sampled, _ = evaluate(task, policy, state.phi, episodes, rng, sampled=True)
             mean, _ = evaluate(task, policy, state.phi, episodes, rng, sampled=False)
             reached = (taken, time.process_time() - began)
@@ -123,18 +123,29 @@ def run_one(study: Study, settings: dict[str, Any], options: dict[str, Any], see
     row.explored = max(p.success for p in history)
     row.env_steps, row.cpu_seconds, row.diverged = taken, time.process_time() - began, state.diverged
     rng = np.random.default_rng([seed, 10**6])
-    last, _ = evaluate(task, state.learner.policy, state.phi, FINAL_EPISODES, rng, sampled=True)
+    last, _ = evaluate(task, state.control.policy, state.phi, FINAL_EPISODES, rng, sampled=True)
     row.sampled, row.episode_return, row.phi = last.success, last.episode_return, state.phi.tolist()
     row.milestones = last.milestones
-    row.deterministic = evaluate(task, state.learner.policy, state.phi, FINAL_EPISODES, rng, sampled=False)[0].success
+    row.deterministic = evaluate(task, state.control.policy, state.phi, FINAL_EPISODES, rng, sampled=False)[0].success
     if history[-1].cosine_negative is not None:
         row.negative = float(np.mean([p.cosine_negative for p in history]))
         row.first_divergence, row.last_divergence = (
             float(np.mean([p.divergence for p in part])) for part in (history[:5], history[-5:])
         )
-    if study.checkpoints:
-        save_checkpoint(RunFolder(study.checkpoints / f"{study.method}-s{seed}"), state, row.cpu_seconds)
+    if kept:
+        save_checkpoint(kept, state, row.cpu_seconds)
     return row
+
+
+def keep(study: Study, task: Task, method: Method, options: dict[str, Any], seed: int) -> RunFolder:
+    """Write the folder of a run whose last state will be kept; RunFolderError where one of this name is there."""
+    assert study.checkpoints
+    record = RunRecord(
+        format=FORMAT, id=f"{method.name}-s{seed}", task=task.name, task_options=options, method=method.name, seed=seed,
+        iterations=1, config=recorded(method), parameters=list(task.design_space.parameters), versions={},
+        created=time.time(),
+    )  # fmt: skip
+    return create_run(study.checkpoints, record)
 
 
 def main(study: Study) -> None:

@@ -62,12 +62,10 @@ class Fragile(Reacher):
         return dataclasses.replace(step, z=z, diverged=broken, terminated=step.terminated & ~broken)
 
 
-def make_run(
-    runs: Path, name: str = "run", method: Method = SMALL, seed: int = 0, iterations: int = 6, format: int = FORMAT
-) -> RunFolder:
+def make_run(runs: Path, name: str = "run", method: Method = SMALL, seed: int = 0, iterations: int = 6) -> RunFolder:
     """Return a fresh run folder of the reacher."""
     record = RunRecord(
-        format=format, id=name, task="reacher", method=method.name, seed=seed, iterations=iterations,
+        format=FORMAT, id=name, task="reacher", method=method.name, seed=seed, iterations=iterations,
         config=recorded(method), parameters=list(make_task("reacher").design_space.parameters), versions={},
         created=time.time(),
     )  # fmt: skip

@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from morph_core.catalogue import make_task
+from morph_core.catalogue import make_method, make_task
+from morph_core.config import recorded
 from morph_core.history import History, InForce
 from morph_core.protocol import (
+    FORMAT,
     AnyCommand,
     InjectDesign,
     Lock,
@@ -71,14 +73,14 @@ def commands(task: Task) -> st.SearchStrategy[AnyCommand]:
 @given(data=st.data())
 def test_studio_and_trainer_agree_on_any_sequence_of_commands(name: str, data: st.DataObject) -> None:
     task = make_task(name)
-    config = dataclasses.replace(task.config, hidden=4)
+    method = make_method("morph", task, {"hidden": 4})
     record = RunRecord(
-        id="run", task=name, method="morph", seed=0, iterations=9, config=dataclasses.asdict(config),
+        id="run", task=name, method="morph", seed=0, iterations=9, format=FORMAT, config=recorded(method),
         parameters=list(task.design_space.parameters), versions={}, created=time.time(),
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as runs:
         folder = create_run(Path(runs), record)
-        trainer, history, state = Trainer(folder), History(folder), start(task, config, 0)
+        trainer, history, state = Trainer(folder), History(folder), start(task, method, 0)
         trainer._checkpoint = lambda _: None  # tests/core/test_train.py sees to it
         for number, step in enumerate(data.draw(st.lists(commands(task) | st.just("iterate"), max_size=10)), 1):
             if isinstance(step, str):

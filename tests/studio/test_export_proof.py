@@ -245,8 +245,9 @@ def test_the_policy_runs_with_numpy_and_mujoco_alone(bundle: Bundle, tmp_path: P
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_bytes(content)
     code = (
-        "import runpy, sys; runpy.run_path('run_policy.py', run_name='__main__');"
-        "sys.exit(any(m.split('.')[0] in ('morph_core', 'studio', 'torch', 'trimesh') for m in sys.modules))"
+        "import runpy, sys; before = {*sys.modules}; runpy.run_path('run_policy.py', run_name='__main__');"
+        "loaded = {m.split('.')[0] for m in {*sys.modules} - before};"
+        "sys.exit(len(loaded & {'morph_core', 'studio', 'torch', 'trimesh'}))"
     )
     done = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

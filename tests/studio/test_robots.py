@@ -16,9 +16,10 @@ import trimesh
 from manifold3d import Manifold
 from safetensors.numpy import save_file
 
-from morph_core.catalogue import TASKS, make_task
+from morph_core import config
+from morph_core.catalogue import TASKS, make_method, make_task
 from morph_core.history import History
-from morph_core.protocol import Evaluation, Progress, RunRecord, StateChanged
+from morph_core.protocol import FORMAT, Evaluation, Progress, RunRecord, StateChanged
 from morph_core.run_folder import EventLog, create_run
 from morph_core.task import Task
 from studio.cli.verify import main as verify_main
@@ -49,15 +50,16 @@ PHI = (0.25, 0.5)
 def known(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the stranger's tasks known by name, as a plug-in does."""
     for kind in FOREIGN:
-        monkeypatch.setitem(TASKS, kind.name, kind)
+        monkeypatch.setitem(TASKS._loaded(), kind.name, kind)
 
 
 def recorded(runs: Path, task: Task, phi: Sequence[float] = PHI) -> History:
     """Return a run of one iteration, evaluated, with a policy."""
     options = {} if task == TASKS[task.name]() else {"tunnel": "paper"}
+    settings = config.recorded(make_method("morph", task))
     record = RunRecord(
         id=f"run-{task.name}", task=task.name, task_options=options, method="morph", seed=0, iterations=10, versions={},
-        created=0.0, config=dataclasses.asdict(task.config), parameters=list(task.design_space.parameters),
+        created=0.0, format=FORMAT, config=settings, parameters=list(task.design_space.parameters),
     )  # fmt: skip
     folder = create_run(runs, record)
     log, phi = EventLog(folder), list(phi)
@@ -101,8 +103,9 @@ def run_policy(bundle: Bundle, folder: Path, said: str = "") -> str:
     """Run the shipped program away from this package, and return what it prints."""
     unpack(bundle.files, folder)
     code = (
-        "import runpy, sys; runpy.run_path('run_policy.py', run_name='__main__');"
-        "sys.exit(any(m.split('.')[0] in ('morph_core', 'studio', 'torch', 'trimesh') for m in sys.modules))"
+        "import runpy, sys; before = {*sys.modules}; runpy.run_path('run_policy.py', run_name='__main__');"
+        "loaded = {m.split('.')[0] for m in {*sys.modules} - before};"
+        "sys.exit(len(loaded & {'morph_core', 'studio', 'torch', 'trimesh'}))"
     )
     done = subprocess.run(
         [sys.executable, "-P", "-c", code], cwd=folder, capture_output=True, text=True, check=False, input=said
