@@ -127,6 +127,8 @@ MUTANTS: tuple[Mutant, ...] = (
         ("alive & ~transition.terminated & ~transition.diverged", "alive & ~transition.diverged"),
         ("kept & ~(transition.diverged & alive)", "kept & ~transition.diverged"),
         ("steps=int(np.sum(lives))", "steps=int(np.size(lives))"),
+        ("success = stack(t.success & life", "success = stack(t.success"),
+        ("successes=task.solved(success)", "successes=success.any(0)"),
     ),
     *_of(
         f"{CORE}/rollout.py", "core/test_lines.py",

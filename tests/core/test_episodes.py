@@ -1,5 +1,6 @@
 """Success, return and milestones on Hw-Phy, and one episode as it is recorded."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from morph_core.episodes import evaluate, record_episode
 from morph_core.rollout import collect
+from morph_core.task import Hardware, Transition
 from tests.core.scales import Scales, started
 
 
@@ -29,6 +31,27 @@ def test_a_milestone_of_a_step_after_the_end_does_not_count() -> None:
     assert score(Scales(ends=2, succeeding=0.5)).milestones["late"] == 0.5
     assert score(Scales(ends=2)).milestones["late"] == 0.0
     assert score(Scales(near=0.25)).milestones["near"] == 0.25
+
+
+def test_the_task_says_what_a_success_is() -> None:
+    class Held(Scales):
+        def solved(self, reached: np.ndarray) -> np.ndarray:
+            return reached.sum(0) >= 2
+
+    result = score(Held(ends=3, near=1.0))
+    assert (result.success, result.milestones) == (0.0, {"near": 0.0, "late": 0.0})
+
+
+def test_a_success_after_the_end_does_not_count() -> None:
+    class Afterwards(Scales):
+        def step(self, hardware: Hardware, s: np.ndarray, action: np.ndarray) -> Transition:
+            first_half = np.arange(len(s)) < len(s) // 2
+            third = s[:, 2] == 2
+            return dataclasses.replace(super().step(hardware, s, action), terminated=first_half, success=third)
+
+    result = score(Afterwards())
+    assert result.success == 0.5
+    assert result.episode_return == pytest.approx(3 * (1 + 3) / 2)
 
 
 def test_an_episode_whose_simulation_diverged_has_failed() -> None:

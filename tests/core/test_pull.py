@@ -161,7 +161,7 @@ def sampled(pairs: int, hw_phy: Any = None, seed: int = 0) -> tuple[Rollout, Rel
     )
 
 
-@pytest.mark.parametrize(("asked", "got"), [(0, 10), (4, 4), (10, 10), (99, 10)])
+@pytest.mark.parametrize(("asked", "got"), [(0, 10), (4, 4), (9, 9), (10, 10), (99, 10)])
 def test_pairs_are_steps_alive_each_once_with_both_words_on_them(asked: int, got: int) -> None:
     rollout, pairs = sampled(asked)
     assert len(pairs) == pairs.steps == got
