@@ -1,6 +1,5 @@
 """The settings of a new run as a form: what the chosen task, method, exploration and search leave to choose."""
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -35,7 +34,7 @@ class SettingsForm:
         )
         self.exploration = gui.add_dropdown("exploration", [""], hint="How the hardware's output z is explored.")
         self.search = gui.add_dropdown("search", [""], hint="How the design is found whose physics match the proxy.")
-        self._folder = gui.add_folder("More settings", expand_by_default=False)
+        self._slot = gui.add_folder(None)
         for path in _PARTS:
             self._in_sight[path].on_update(lambda _: self._choose_part())
 
@@ -89,21 +88,21 @@ class SettingsForm:
 
     def _fold(self, fields: Sequence[Field]) -> None:
         """Make the settings that are folded away anew, one folder for each part."""
-        for handle in (*self._more.values(), *self._folders):
-            handle.remove()
+        for folder in self._folders:
+            folder.remove()
         self._more, self._folders = {}, []
-        folded = [field for field in fields if field.name not in self._in_sight]
-        with self._folder:
-            for head, inside in itertools.groupby(folded, lambda field: field.name.rpartition(".")[0]):
-                if not head:
-                    self._more |= {field.name: self._add(field) for field in inside}
-                    continue
-                self._folders.append(self._gui.add_folder(head, expand_by_default=False))
-                with self._folders[-1]:
-                    self._more |= {field.name: self._add(field) for field in inside}
+        parts: dict[str, list[Field]] = {}
+        for field in fields:
+            if field.name not in self._in_sight:
+                parts.setdefault(field.name.rpartition(".")[0] or "more settings", []).append(field)
+        for part, inside in parts.items():
+            with self._slot:
+                self._folders.append(self._gui.add_folder(part.replace("_", " "), expand_by_default=False))
+            with self._folders[-1]:
+                self._more |= {field.name: self._add(field) for field in inside}
 
     def _add(self, field: Field) -> Any:
-        label = field.name.rpartition(".")[2].replace("_", " ")
+        label = field.name.rpartition(".")[2].replace("_", " ").replace("minibatches", "mini-batches")  # may wrap there
         if field.choices:
             choices = [str(choice) for choice in field.choices]
             return self._gui.add_dropdown(label, choices, initial_value=str(field.default), hint=told(field))

@@ -62,8 +62,8 @@ class StartPanel:
                 "iterations", _usual_iterations(task), min=1, max=limits.MAX_ITERATIONS, step=1,
                 hint="Each samples trajectories, learns from them, and searches for the next design.",
             )  # fmt: skip
-            self.settings = SettingsForm(gui)
             self.start = gui.add_button("Start", color="green", icon=viser.Icon.PLAYER_PLAY)
+            self.settings = SettingsForm(gui)
             self.source = gui.add_html("", visible=False)
             self.bring = gui.add_upload_button(
                 "Start from a design…", icon=viser.Icon.UPLOAD, mime_type=DESIGN_TYPES,
