@@ -1,0 +1,49 @@
+"""The settings of a new run as a form: what is shown is what does something, and only what differs is asked for."""
+
+import pytest
+from conftest import Page
+
+from morph_core.catalogue import METHODS, make_method, make_task
+from studio.fields import chosen_fields
+
+
+def shown(page: Page) -> set[str]:
+    form = page.viewer.start.settings
+    return {path for path, handle in form._in_sight.items() if handle.visible} | set(form._more)
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+@pytest.mark.parametrize("task", ["reacher", "pen_press"])
+def test_every_setting_of_the_method_is_there_and_no_other(page: Page, task: str, method: str) -> None:
+    form = page.viewer.start
+    form.task.value, form.method.value = task, method
+    made = make_task(task)
+    assert shown(page) == {field.name for field in chosen_fields(make_method(method, made), made)}
+    form.submit(None)
+    assert (page.started[0].method, page.started[0].settings) == (method, {})
+
+
+def test_another_search_brings_its_own_settings_with_what_the_task_has_tuned(page: Page) -> None:
+    form = page.viewer.start
+    form.task.value = "pen_press"
+    assert "search.ridge" in shown(page)
+    form.settings.search.value = "cma"
+    assert "search.ridge" not in shown(page)
+    assert form.settings._more["search.population"].value == 10
+    form.settings._more["search.population"].value = 16
+    form.submit(None)
+    assert page.started[0].settings == {"search": "cma", "search.population": 16}
+
+
+def test_a_setting_outside_its_range_starts_nothing_and_says_what_is_allowed(page: Page) -> None:
+    form = page.viewer.start
+    form.settings._more["ppo.gamma"]._impl.value = 1.5
+    form.submit(None)
+    assert not page.started
+    assert "ppo.gamma must lie in (0, 1]" in form.notice.content
+
+
+def test_a_number_offers_the_range_that_its_field_has(page: Page) -> None:
+    gamma = page.viewer.start.settings._more["ppo.gamma"]
+    assert (gamma.min, gamma.max) == (0.0, 1.0)
+    assert "Allowed: > 0, ≤ 1" in gamma.hint
