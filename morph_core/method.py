@@ -31,11 +31,11 @@ class Method(Settings, ABC):
     hidden: Count = 64
     """Width of both hidden layers of policy, critic and proxy."""
     schedule: Schedule = Schedule()
-    """Settings of how learning rates and noises fall."""
+    """Schedule by which learning rates and noises fall."""
     ppo: Ppo = Ppo()
-    """Settings of PPO, by which policy and critic learn."""
+    """PPO (Schulman et al. 2017), by which policy and critic learn."""
     evaluation: Evaluation = Evaluation()
-    """Settings of how often success is measured."""
+    """Evaluations, which measure success on Hw-Phy."""
 
     name: ClassVar[str]
     """Name that chooses the method on the command line, in files and on screen."""

@@ -34,7 +34,7 @@ class Morph(Method):
     """Share of successful trajectories from which on phi is frozen and every episode runs on it; 0 never freezes it.
     Among episodes that all succeed, ranking is noise and would move phi at random."""
     proxy: ProxyFit = ProxyFit()
-    """Settings of how the proxy is fitted to Hw-Phy."""
+    """Fit of the proxy to Hw-Phy."""
     exploration: Exploration = Design()
     """Exploration of z: `design` draws designs around phi on Hw-Phy, `gaussian` is the paper's noise on the proxy's
     z."""

@@ -118,9 +118,9 @@ class GraspTask(Settings, Task):
     reward_scale: NotNegative = 0.2
     """Factor by which all weights and the bonus are multiplied."""
     palm_step: NotNegative = 0.05
-    """m: the largest change of the palm's target."""
+    """m: largest change of the palm's target per control step."""
     joint_step: NotNegative = 0.3
-    """rad: the largest change of a joint's target."""
+    """rad: largest change of a joint's target per control step."""
     initial_closing: NotNegative = 0.3
     """Speed at which an untrained policy moves the proximal joints inward, as a share of `joint_step`. Flailing about
     the start posture lifts the object in none of 256 episodes, closing and rising in one of seven at .26 m."""
@@ -129,7 +129,7 @@ class GraspTask(Settings, Task):
     initial_rising: NotNegative = 0.15
     """Speed at which an untrained policy moves the palm upward, as a share of `palm_step`."""
     start_noise: NotNegative = 0.01
-    """m: largest distance of the object from the middle at the start; it is also turned by up to 5 rad per metre."""
+    """m: largest distance of the object from the middle at the start; its largest turn is 5 rad per metre of this."""
     travel: NotNegative = 0.02
     """m: distance by which the button can be pressed in."""
     stiffness: NotNegative = 60.0

@@ -36,8 +36,7 @@ class TrainArguments(RunsArguments):
     task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")] = ""
     """Task to train on; with --resume it may be left out."""
     iterations: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Number of iterations of a new run, 100 by default; with --resume, the number beyond the last recorded one, by
-    default those that are still planned."""
+    """Iterations of a new run (100 by default); with --resume, those after the last recorded one, or as planned."""
     resume: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
     """Run to go on with from its newest checkpoint: its name, or the path of its folder."""
     json: bool = False
