@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from morph_core.state import State
 
 REACHED = 0.02
-"""Share of an iteration's episodes from which on a milestone counts as reached."""
+"""Smallest share of an iteration's episodes with which a milestone counts as reached."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """The steps of a rollout that count, flattened: tensors of B rows."""
+    """Steps of a rollout before the ends of its episodes, flattened: tensors of B rows."""
 
     observation: Tensor  # (B, o)
     time: Tensor  # (B,) t / T
@@ -35,7 +35,7 @@ class Batch:
 
 
 class Control:
-    """theta and the critic."""
+    """Policy pi_theta and critic with their Adam optimiser, which learn by PPO."""
 
     def __init__(self, task: Task, ppo: Ppo, schedule: Schedule, hidden: int, weights: torch.Generator) -> None:
         self._task, self._ppo, self._schedule, self._hidden = task, ppo, schedule, hidden
@@ -54,7 +54,7 @@ class Control:
         self.optimizer.param_groups[0]["lr"] = self._ppo.learning_rate * factor
 
     def batch(self, rollout: Rollout) -> Batch:
-        """Estimate advantages with the present critic and flatten what is alive."""
+        """Return the steps alive with advantages from the present critic (generalised advantage estimation)."""
         alive = rollout.alive
         observation = torch.from_numpy(rollout.observation[alive])
         time = torch.from_numpy((alive.nonzero()[0] / self._task.horizon).astype(np.float32))

@@ -49,7 +49,7 @@ class DesignSpace:
 
     @property
     def initial(self) -> np.ndarray:
-        """The initial design, clipped into the present bounds and locks."""
+        """Return the initial design (d,), clipped into the present bounds and locks."""
         return self.clip(np.array([p.initial for p in self.parameters]))
 
     @property

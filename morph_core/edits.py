@@ -21,9 +21,9 @@ class Edit:
     """A command that is allowed, with what it does."""
 
     in_force: InForce
-    """What is in force afterwards."""
+    """Bounds, locks, phi, alpha and projection that are in force after the command."""
     message: str
-    """The sentence that says so."""
+    """Sentence that says what the command does."""
     concerns_design: bool
     """Whether box, locks or phi were set, even to what they were: then the search for phi goes on."""
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from morph_core.state import State
 
 Pull = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Proxy outputs m (B, z_size) of the pairs with indices (B,) -> dL_task/dm (B, z_size), float32 all."""
+"""Function that takes proxy outputs m (B, z_size) of the pairs with indices (B,) and returns dL_task/dm (B, z_size);
+all are float32."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Relabelled:
     z: np.ndarray  # (B, z_size)
     z_phi: np.ndarray  # (B, z_size) F_phi(s, a)
     steps: int
-    """Steps of Hw-Phy that this took."""
+    """Steps of Hw-Phy that the relabelling took."""
 
     def __len__(self) -> int:
         return len(self.row)
@@ -42,7 +43,7 @@ class Exploration(Settings, ABC):
     """How z is explored, so that the policy gradient can reach psi."""
 
     name: ClassVar[str]
-    """The word that chooses it."""
+    """Name that chooses the exploration on the command line, in files and on screen."""
 
     def check(self, task: Task) -> None:
         """Raise ValueError with the reason where the task can't be explored so."""

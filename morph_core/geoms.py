@@ -9,7 +9,7 @@ from morph_core import shapes
 from morph_core.picture import Surface
 
 _LAST_VISIBLE_GROUP = 2
-"""MuJoCo's own viewers hide the groups beyond it: collision shapes by convention."""
+"""Last group of geoms that is drawn. MuJoCo's own viewers hide the groups beyond it: collision shapes by convention."""
 _UNPAINTED = (0.5, 0.5, 0.5, 1.0)
 """MuJoCo's colour of a geom that names none: there its material's colour shows."""
 _ENDLESS = 2.0
@@ -23,10 +23,11 @@ class Geoms:
     model: mujoco.MjModel
     ids: tuple[int, ...]
     triangles: tuple[np.ndarray, ...]
-    """(F, 3, 3) m each, in the geom's own frame."""
+    """Triangles of each geom, (F, 3, 3) m in the geom's own frame."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> "Geoms":
+        """Return the visible geoms of a compiled model."""
         drawn = {i: _triangles(model, i) for i in range(model.ngeom) if _is_visible(model, i)}
         kept = {i: triangles for i, triangles in drawn.items() if len(triangles)}
         return cls(model, tuple(kept), tuple(kept.values()))
@@ -43,6 +44,7 @@ class Geoms:
 
     @property
     def are_planes(self) -> list[bool]:
+        """Return for each geom whether it is a plane."""
         return [bool(self.model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE) for i in self.ids]
 
 

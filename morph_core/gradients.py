@@ -25,7 +25,7 @@ def write_gradient(parameters: Iterable[Tensor], gradient: Tensor) -> None:
 
 
 def cosine(g_task: Tensor, g_hw: Tensor) -> float:
-    """S_c(g_task, g_hw); 0 where one of them vanishes."""
+    """Return the cosine S_c(g_task, g_hw) of two flat gradients; 0 where one of them vanishes."""
     return float(g_task @ g_hw / (g_task.norm() * g_hw.norm() + TINY))
 
 

@@ -49,7 +49,7 @@ class History:
     """A tail of one run folder. `poll` takes in what is new; everything else answers from memory."""
 
     def __init__(self, folder: RunFolder) -> None:
-        """Raise RunFolderError if the folder has no readable run.json."""
+        """Read run.json; raise RunFolderError if the folder has no readable one."""
         self.folder = folder
         self.record: RunRecord = folder.record()
         self.events: list[AnyEvent] = []
@@ -141,15 +141,17 @@ class History:
 
     @property
     def iteration(self) -> int:
+        """Last iteration that was recorded; 0 before the first."""
         return self.progress[-1].iteration if self.progress else 0
 
     @property
     def phi(self) -> np.ndarray:
-        """(d,) the present design."""
+        """Design phi (d,) now in force."""
         return np.array(self.progress[-1].phi) if self.progress else self.initial_phi
 
     @property
     def initial_phi(self) -> np.ndarray:
+        """Design phi (d,) with which the run began."""
         return DesignSpace(tuple(self.record.parameters)).initial
 
     @property

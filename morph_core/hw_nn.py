@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from morph_core.state import State
 
 SMALLEST_LEARNING_RATE = 1e-5
-"""Adam's step at the end of the fit before line 1."""
+"""Learning rate of Adam at the end of the fit before line 1."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class ProxyUpdate:
 
 
 class HwNN:
-    """h_psi(z | s, a) as `Hardware`, and how it learns."""
+    """Proxy h_psi(z | s, a) as `Hardware`, and how it learns."""
 
     def __init__(self, task: Task, fit: ProxyFit, hidden: int, weights: torch.Generator) -> None:
         self.proxy = Proxy(task, hidden, weights)
@@ -59,7 +59,7 @@ class HwNN:
         return torch.from_numpy(self._task.proxy_input(s, a))
 
     def set_learning_rate(self, factor: float) -> None:
-        """Let Adam's step be `factor` times the first one."""
+        """Set Adam's learning rate to `factor` times the first one."""
         self.optimizer.param_groups[0]["lr"] = self._fit.learning_rate * factor
 
     def copy_weights(self, other: "HwNN") -> None:

@@ -20,28 +20,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Method(Settings, ABC):
-    """A way to find a design and its policy, built from the same parts as the others, so that a comparison compares
-    the methods and not their PPO."""
+    """A way to find a design and its policy.
+
+    Methods are built from the same parts, so that a comparison compares the methods and not their PPO. Where the paper
+    has a symbol for a setting, the setting's docstring begins with it.
+    """
 
     trajectories: Annotated[int, Meta(ge=2, multiple_of=2)] = 128
     """H: episodes sampled per iteration; even, because designs are explored in antithetic pairs."""
     hidden: Count = 64
     """Width of both hidden layers of policy, critic and proxy."""
     schedule: Schedule = Schedule()
-    """How learning rates and noises fall."""
+    """Schedule by which learning rates and noises fall."""
     ppo: Ppo = Ppo()
-    """How policy and critic learn."""
+    """PPO (Schulman et al. 2017), by which policy and critic learn."""
     evaluation: Evaluation = Evaluation()
-    """How often success is measured."""
+    """Evaluations, which measure success on Hw-Phy."""
 
     name: ClassVar[str]
-    """The word that chooses the method."""
+    """Name that chooses the method on the command line, in files and on screen."""
     title: ClassVar[str]
-    """The method in a sentence, for people."""
+    """Clause that tells people what the method does."""
 
     @property
     def proxy_fit(self) -> ProxyFit | None:
-        """Return how the proxy is fitted; None for a method without a proxy."""
+        """Return the settings by which the proxy is fitted; None for a method without a proxy."""
         return None
 
     @property

@@ -29,7 +29,7 @@ def log_normal(x: Tensor, mean: Tensor, std: Tensor) -> Tensor:
 
 
 class Policy(nn.Module):
-    """pi_theta(a | s) = N(mu_theta(s), sigma_a), in units of the largest action."""
+    """Policy pi_theta(a | s) = N(mu_theta(s), sigma_a), in units of the largest action."""
 
     def __init__(self, task: Task, ppo: Ppo, hidden: int, rng: torch.Generator) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class Policy(nn.Module):
 
 
 class Critic(nn.Module):
-    """V(s, t): it sees the time, because an episode ends at the horizon whatever the state."""
+    """Critic V(s, t), which sees the time, because an episode ends at the horizon whatever the state."""
 
     def __init__(self, task: Task, hidden: int, rng: torch.Generator) -> None:
         super().__init__()
@@ -80,7 +80,7 @@ class Critic(nn.Module):
 
 
 class Proxy(nn.Module):
-    """Hw-NN, h_psi(z | s, a)."""
+    """Network of the proxy Hw-NN, h_psi(z | s, a)."""
 
     def __init__(self, task: Task, hidden: int, rng: torch.Generator) -> None:
         super().__init__()

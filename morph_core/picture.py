@@ -25,7 +25,7 @@ class Light:
     """A lamp that is far away."""
 
     direction: np.ndarray
-    """(3,) from what is lit to the lamp: right, up, and towards the camera."""
+    """Vector (3,) from what is lit to the lamp: right, up, and towards the camera."""
     ambient: float
     """Share of its colour that a face keeps in the shade."""
 
@@ -40,9 +40,9 @@ class Camera:
     """A camera without perspective, and the size of its pictures."""
 
     axes: np.ndarray
-    """(3, 3): what is right, up, and towards the camera in the world."""
+    """Unit vectors of the world, in rows (3, 3), that point right, up, and towards the camera."""
     centre: np.ndarray
-    """(3,) along these axes: what is in the middle of the picture."""
+    """Point (3,) in the middle of the picture, in metres along the camera's axes."""
     scale: float
     """Pixels per metre."""
     width: int

@@ -23,15 +23,15 @@ class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     hi: float
     initial: float
     hard_lo: float
-    """The task's own box: `lo` and `hi` may be edited inside it."""
+    """Lower end of the task's own box, inside which `lo` and `hi` may be edited."""
     hard_hi: float
     scale: float = 1.0
-    """A typical change: the unit of exploration and of the search's sigma0."""
+    """Typical change of the parameter: the unit of exploration and of the search's sigma0."""
     locked_at: float | None = None
     group: str = ""
-    """Parameters of one group share part of their noise when designs are explored: `design_correlation`."""
+    """Name of the group of parameters that share part of their noise when designs are explored; empty for none."""
     part: str = ""
-    """The part of the robot that it belongs to, as the names of its bodies and geoms begin; empty for none."""
+    """Part of the robot that the parameter belongs to, as the names of its bodies and geoms begin; empty for none."""
 
 
 # --- Commands ---------------------------------------------------------------------------------------------------------
@@ -154,15 +154,16 @@ class Progress(Event, tag="progress", frozen=True):
     policy_std: float
     design_sigma: float | None = None
     divergence: float | None = None
-    """Mean squared distance of both hardware outputs on sampled (s, a), per Hw-Phy with the present phi."""
+    """D: mean squared distance of Hw-Phy with the present phi and the proxy on sampled (s, a)."""
     search_cost: float | None = None
-    """Divergence after the search for phi."""
+    """Divergence of Hw-Phy from the dataset after the search for phi."""
     cosine: float | None = None
-    """Mean cosine of g_task and g_hw over psi."""
+    """S_c: mean cosine of g_task and g_hw over psi."""
     cosine_negative: float | None = None
     """Share of this iteration's gradient steps with a negative cosine."""
     cosine_by_parameter: list[float | None] | None = None
-    """The same cosine along the direction in which each design parameter moves z; where Hw-Phy is differentiable."""
+    """Mean cosine of both gradients along the direction in which each design parameter moves z; None where Hw-Phy is
+    not differentiable."""
     alpha: float | None = None
     projection: Projection | None = None
     relabelled_steps: int = 0
@@ -184,7 +185,7 @@ class Evaluation(Event, tag="evaluation", frozen=True):
     deterministic_success: float
     deterministic_return: float
     milestones: dict[str, float] = {}
-    """Share of the sampled episodes that reached what comes before the goal, by the rule of success."""
+    """Shares of the sampled episodes that reached each milestone before the goal, by the rule of success."""
     diverged: int = 0
     """Sampled episodes whose simulation diverged: they count as failures."""
     episode: str | None = None
@@ -222,13 +223,13 @@ class Heartbeat(msgspec.Struct, frozen=True):
 
     host: str
     pid: int
-    """On that host."""
+    """Number of the trainer's process on `host`."""
     process_started: float
-    """Start time of that process (seconds since the epoch), so that a reused pid is not taken for it."""
+    """Start time of the trainer's process (seconds since the epoch), so that a reused pid is not taken for it."""
     time: float
     status: Status
     stage: str
-    """In words: "loading", "fitting the proxy", "collecting and learning", "evaluating", "saving"."""
+    """Words for what is done: "loading", "fitting the proxy", "collecting and learning", "evaluating", "saving"."""
     iteration: int
     iterations: int
     env_steps: int = 0
@@ -248,10 +249,10 @@ FORMAT = 2
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """run.json: everything needed to run it again. Written once."""
+    """Content of run.json, which is written once: everything that is needed to run it again."""
 
     format: int = 1
-    """Format 1 has the settings as one flat list, format 2 nested by part."""
+    """Format of run.json: 1 has the settings as one flat list, 2 nested by part."""
     id: str
     task: str
     task_options: dict[str, object] = {}
@@ -286,7 +287,7 @@ _heartbeats = msgspec.json.Decoder(Heartbeat)
 
 
 def encode(message: msgspec.Struct) -> bytes:
-    """One line of JSON. NaN and infinities become null: keep them out of required fields."""
+    """Return one line of JSON. NaN and infinities become null: keep them out of required fields."""
     return _encoder.encode(message)
 
 
@@ -300,12 +301,12 @@ def decode_event(line: bytes | str) -> AnyEvent:
 
 
 def decode_order(text: bytes | str) -> Order:
-    """Raise msgspec.DecodeError (ValidationError) on anything that is not an order."""
+    """Return an order; raise msgspec.DecodeError (ValidationError) on anything else."""
     return _orders.decode(text)
 
 
 def decode_record(text: bytes | str) -> RunRecord:
-    """Raise msgspec.DecodeError (ValidationError) on anything that is not a run.json."""
+    """Return the content of a run.json; raise msgspec.DecodeError (ValidationError) on anything else."""
     return _records.decode(text)
 
 
@@ -315,5 +316,5 @@ def format_of(text: bytes | str) -> int:
 
 
 def decode_heartbeat(text: bytes | str) -> Heartbeat:
-    """Raise msgspec.DecodeError (ValidationError) on anything that is not a heartbeat."""
+    """Return a heartbeat; raise msgspec.DecodeError (ValidationError) on anything else."""
     return _heartbeats.decode(text)

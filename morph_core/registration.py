@@ -33,6 +33,7 @@ class TaskSpec(EnvSpec):
 
     @property
     def max_episode_steps(self) -> int | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Control steps after which an episode is cut: the horizon of the task, unless another limit is set."""
         if self._limit is None and self._task is not None:
             from morph_core.catalogue import make_task
 

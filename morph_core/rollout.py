@@ -8,7 +8,7 @@ import numpy as np
 from morph_core.task import Hardware, Task
 
 Act = Callable[[np.ndarray], np.ndarray]
-"""What chooses actions: observations (N, o) -> actions (N, action_size)."""
+"""Function that chooses actions (N, action_size) from observations (N, o)."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ class Rollout:
 
     @property
     def episodes(self) -> int:
-        """How many were started."""
+        """Number of episodes that were started."""
         return len(self.kept)
 
     @property
     def diverged(self) -> int:
-        """How many were left out."""
+        """Number of episodes that were left out because their simulation diverged."""
         return int((~self.kept).sum())
 
     @property

@@ -24,7 +24,7 @@ HEARTBEAT_BYTES = 4096
 LOST_AFTER = 10.0
 """Seconds without a heartbeat after which a run on another host counts as lost."""
 SAID_ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
-"""What a trainer says last."""
+"""Statuses by which a trainer says that it has ended."""
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -40,10 +40,12 @@ class RunFolder:
 
     @property
     def id(self) -> str:
+        """Name of the run, which is that of its folder."""
         return self.path.name
 
     @property
     def events(self) -> Path:
+        """Path of the event log."""
         return self.path / "events.jsonl"
 
     @property
@@ -54,20 +56,26 @@ class RunFolder:
 
     @property
     def checkpoints(self) -> Path:
+        """Path of the folder of checkpoints."""
         return self.path / "checkpoints"
 
     @property
     def commands(self) -> Path:
+        """Path of the inbox, in which each command is a file."""
         return self.path / "commands"
 
     @property
     def exports(self) -> Path:
+        """Path of the folder of exports."""
         return self.path / "exports"
 
     # --- reading ---
 
     def record(self) -> RunRecord:
-        """Raise RunFolderError if run.json is missing, foreign, damaged, or of a format newer than this version."""
+        """Return the content of run.json, of older formats too, with today's names of the settings.
+
+        Raise RunFolderError if it is missing, foreign, damaged, or of a format newer than this version.
+        """
         try:
             written = (self.path / "run.json").read_bytes()
             if (found := protocol.format_of(written)) > protocol.FORMAT:
@@ -121,9 +129,11 @@ class RunFolder:
         return sorted(int(p.name) for p in self.checkpoints.iterdir() if p.is_dir() and re.fullmatch(r"\d{6,}", p.name))
 
     def checkpoint(self, iteration: int) -> Path:
+        """Return the path of the checkpoint of an iteration."""
         return self.checkpoints / f"{iteration:06d}"
 
     def episode(self, iteration: int) -> Path:
+        """Return the path of the recorded episode of an iteration."""
         return self.episodes / f"{iteration:06d}.npz"
 
     # --- the inbox ---
@@ -255,6 +265,7 @@ class EventLog:
         return stamped
 
     def close(self) -> None:
+        """Make sure that every event is on the disk, and close the log."""
         os.fsync(self._file.fileno())
         self._file.close()
 
@@ -277,11 +288,13 @@ class HeartbeatFile:
         self._fd = os.open(folder.path / "heartbeat.json", os.O_RDWR | os.O_CREAT, 0o644)
 
     def write(self, beat: Heartbeat) -> None:
+        """Write a heartbeat in place of the last one; a message that does not fit is shortened."""
         while len(text := protocol.encode(beat)) > HEARTBEAT_BYTES:
             beat = msgspec.structs.replace(beat, message=beat.message[: len(beat.message) // 2])
         os.pwrite(self._fd, text.ljust(HEARTBEAT_BYTES), 0)
 
     def close(self) -> None:
+        """Close the file; the last heartbeat stays in it."""
         os.close(self._fd)
 
 
@@ -295,7 +308,7 @@ def write_episode(folder: RunFolder, iteration: int, arrays: dict[str, np.ndarra
 
 
 def read_episode(folder: RunFolder, iteration: int) -> dict[str, np.ndarray]:
-    """Raise RunFolderError if there is no such episode or it is damaged."""
+    """Return the arrays of a recorded episode; raise RunFolderError if there is no such episode or it is damaged."""
     try:
         with np.load(folder.episode(iteration), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}

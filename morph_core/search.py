@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Script D: sampled (s, a) with the z that the proxy says."""
+    """Dataset D of Algorithm 1 (line 5): sampled (s, a) with the z that the proxy says."""
 
     s: np.ndarray  # (n, state_size)
     a: np.ndarray  # (n, action_size)
@@ -48,7 +48,7 @@ class Memory:
 
 @dataclass(frozen=True)
 class Problem:
-    """What a search works on."""
+    """Problem of one search for phi (Eq. 3), as `Search.candidates` is given it."""
 
     physics: "Physics"
     space: DesignSpace
@@ -68,7 +68,7 @@ class Search(Settings, ABC):
     """Relabelled (s, a) pairs on which a candidate phi is compared with the proxy."""
 
     name: ClassVar[str]
-    """The word that chooses it."""
+    """Name that chooses the search on the command line, in files and on screen."""
 
     def check(self, task: Task) -> None:
         """Raise ValueError with the reason where the task's phi can't be searched for so."""

@@ -10,7 +10,7 @@ _RINGS = 6
 
 
 def box() -> Shape:
-    """Half-extents of one; corners are not shared, so that its edges are sharp."""
+    """Return a box with half-extents of one; its faces share no corners, so that its edges are sharp."""
     vertices, faces = [], []
     for axis in range(3):
         for sign in (-1.0, 1.0):
@@ -23,17 +23,17 @@ def box() -> Shape:
 
 
 def cylinder() -> Shape:
-    """Radius and half-length of one, along z."""
+    """Return a cylinder along z with a radius and a half-length of one."""
     return _lathe([(0, -1), (1, -1)], [(1, -1), (1, 1)], [(1, 1), (0, 1)])
 
 
 def sphere() -> Shape:
-    """Radius of one."""
+    """Return a sphere with a radius of one."""
     return _lathe([(float(np.cos(a)), float(np.sin(a))) for a in np.linspace(-np.pi / 2, np.pi / 2, 2 * _RINGS + 1)])
 
 
 def capsule(half_length: float) -> Shape:
-    """Radius of one, along z; `half_length` is its cylinder's, in radii."""
+    """Return a capsule along z with a radius of one; `half_length` is its cylinder's, in radii."""
     quarter = np.linspace(0, np.pi / 2, _RINGS + 1)
     top = [(float(np.cos(a)), half_length + float(np.sin(a))) for a in quarter]
     return _lathe([(x, -z) for x, z in reversed(top)] + top)

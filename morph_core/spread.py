@@ -22,7 +22,7 @@ class Spread:
     """The distribution of the explored designs around phi."""
 
     sigma: float
-    """Sigma, in units of each parameter's scale."""
+    """Sigma: standard deviation of the designs, in units of each parameter's scale."""
     correlation: float
     """Share of the variance that the parameters of a group have in common."""
 
@@ -44,20 +44,21 @@ class Spread:
 
 @dataclass(frozen=True)
 class ExploredDesigns(Settings):
-    """Which designs are tried around phi, and what each of their episodes counts."""
+    """Designs that are tried around phi, and what each of their episodes counts."""
 
     sigma: Positive = 1.2
-    """Sigma of the designs drawn around phi at the start, in units of each parameter's scale."""
+    """Sigma: spread of the designs drawn around phi at the start, in units of each parameter's scale."""
     sigma_end: Positive = 0.2
-    """Sigma at the end of the schedule (geometric in between)."""
+    """Sigma: spread of the designs at the end of the schedule, to which it falls geometrically, in units of each
+    parameter's scale."""
     hold: Share = 0.0
     """Share of the schedule for which the explored designs keep their first Sigma."""
     correlation: Share = 0.0
     """Share of the variance of the explored designs that the parameters of a group have in common."""
     utility: Utility = "standardised"
-    """How returns become weights: standardised, or CMA-ES's log-rank weights."""
+    """Rule by which returns become weights: standardised, or CMA-ES's log-rank weights."""
     advantage_limit: Positive = 3.0
-    """Standardised returns beyond this are clipped."""
+    """Limit to which standardised returns are clipped, on both sides of 0."""
 
     def spread(self, schedule: Schedule, iteration: int, frozen: bool = False) -> Spread:
         """Return the distribution of an iteration; while phi is frozen all designs are phi."""

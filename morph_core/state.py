@@ -20,18 +20,21 @@ from morph_core.task import Task
 
 @dataclass
 class State:
-    """A method reads it at the start of an iteration and has changed it at the end; in between it is the caller's."""
+    """Everything of a run that lives from one iteration to the next.
+
+    A method reads it at the start of an iteration and has changed it at the end; in between it is the caller's.
+    """
 
     iteration: int
     env_steps: int
     phi: np.ndarray  # (d,)
     design_space: DesignSpace
     alpha: float
-    """alpha in force; 0 for a method without a proxy."""
+    """alpha: weight of the divergence that is in force; 0 for a method without a proxy."""
     projection: Projection
     control: Control
     proxy: HwNN | None
-    """Hw-NN, for a method that has one."""
+    """Hw-NN with its optimiser; None for a method without a proxy."""
     memory: Memory
     """What the search for phi keeps from one iteration to the next."""
     rng: np.random.Generator
@@ -40,7 +43,7 @@ class State:
     explored: np.ndarray | None = None  # (N, d)
     """The designs that the last iteration explored, for people; no checkpoint holds them."""
     frozen: bool = False
-    """Whether phi stays, and with it every explored design."""
+    """Whether phi stays as it is, and every episode runs on it."""
     relabelled_steps: int = 0
     """Steps of Hw-Phy outside of trajectories: relabelling, and the search for phi."""
     diverged: int = 0

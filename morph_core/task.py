@@ -12,7 +12,7 @@ from morph_core.design import DesignSpace
 
 
 class Hardware(Protocol):
-    """h(z | s, a): either Hw-Phy or Hw-NN."""
+    """Hardware model h(z | s, a): either Hw-Phy or Hw-NN."""
 
     def __call__(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return z (N, z_size) for states s (N, state_size) and executed actions a (N, action_size), physical units."""
@@ -41,7 +41,7 @@ class Transition:
     reward: np.ndarray
     """(N,) the sum of `reward_terms`."""
     reward_terms: dict[str, np.ndarray]
-    """name -> (N,), already weighted."""
+    """Terms of the reward by name, (N,) each, already weighted."""
     terminated: np.ndarray
     """(N,) bool: the episode is over, as the task has it."""
     diverged: np.ndarray
@@ -51,13 +51,14 @@ class Transition:
     contact: np.ndarray
     """(N, C, 3) m: up to C points where the robot touches something in this step, NaN for none."""
     milestones: dict[str, np.ndarray] = field(default_factory=dict)
-    """name -> (N,) bool: what has to come before the goal, in this order; empty for a goal without any."""
+    """Milestones that have to come before the goal, by name and in this order: (N,) bool each, whether it was reached
+    in this step. Empty for a goal without any."""
 
 
 class Task(Protocol):
     """A robot with a goal. Stateless: all that changes is in s; all randomness comes from a Generator argument.
 
-    Inherit from it: what is abstract must be given, the rest has a default that suits a simple task.
+    A task inherits from this class: what is abstract must be given, the rest has a default that suits a simple task.
     """
 
     @property
@@ -68,7 +69,7 @@ class Task(Protocol):
 
     @property
     def title(self) -> str:
-        """A few words for people."""
+        """Title of the task for people, in a few words."""
         return self.name.replace("_", " ")
 
     @property
@@ -103,13 +104,13 @@ class Task(Protocol):
     @property
     @abstractmethod
     def state_size(self) -> int:
-        """How many numbers s has."""
+        """Number of entries of a state s."""
         ...
 
     @property
     @abstractmethod
     def observation_size(self) -> int:
-        """How many numbers the policy sees."""
+        """Number of entries of an observation, which the policy sees."""
         ...
 
     @property
@@ -124,7 +125,7 @@ class Task(Protocol):
     @property
     @abstractmethod
     def action_size(self) -> int:
-        """How many numbers the policy puts out."""
+        """Number of entries of an action, which the policy puts out."""
         ...
 
     @property
@@ -145,17 +146,17 @@ class Task(Protocol):
     @property
     @abstractmethod
     def z_size(self) -> int:
-        """How many numbers the hardware puts out."""
+        """Number of entries of z, which the hardware puts out."""
         ...
 
     @property
     def proxy_input_size(self) -> int:
-        """How many numbers the proxy sees."""
+        """Number of entries of what the proxy sees of (s, a)."""
         return self.observation_size + self.action_size
 
     @property
     def z_scale(self) -> float:
-        """Typical size of z: the proxy's output is multiplied by it."""
+        """Typical size of z, by which the proxy's output is multiplied."""
         return 1.0
 
     @property

@@ -18,22 +18,22 @@ from morph_core.task import Task
 
 
 class Field(msgspec.Struct, frozen=True, kw_only=True):
-    """One setting."""
+    """One setting: its name, type and default, and what is allowed."""
 
     name: str
-    """Dotted where it belongs to a part: `search.ridge`."""
+    """Name of the setting, dotted where it belongs to a part: `search.ridge`."""
     type: str
     default: object
     choices: list[object] | None = None
     doc: str = ""
     lo: float | None = None
-    """The smallest value that is allowed, or the one above which it must lie."""
+    """Smallest value that is allowed, or the one above which the setting must lie; None for no such end."""
     hi: float | None = None
-    """The largest value that is allowed."""
+    """Largest value that is allowed, or the one below which the setting must lie; None for no such end."""
     range: str = ""
-    """What is allowed, for people: "> 0, ≤ 1"."""
+    """Range that is allowed, for people: "> 0, ≤ 1"."""
     only_with: str | None = None
-    """The choice of the field before the dot with which this one can be set; None: with any."""
+    """Choice in the field before the dot with which this setting does something; None where any does."""
 
 
 def fields_of(instance: object) -> list[Field]:

@@ -21,9 +21,9 @@ from studio.new_run import prepare_run
 from studio.trainers import spawn_trainer
 
 WATCHED = 20
-"""How many of the newest runs the viewer is offered, beside those that run and the one it shows."""
+"""Number of the newest runs that the viewer is offered, beside those that run and the one it shows."""
 KEPT = 40
-"""How many runs are kept in memory at most."""
+"""Largest number of runs that are kept in memory."""
 _EVENTS_TAIL = 65536
 
 
@@ -33,9 +33,9 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     id: str
     status: Status
     reason: str = ""
-    """Why it is in this state, in words."""
+    """Words on why the run is in this state."""
     current: bool = False
-    """The viewer shows this one."""
+    """Whether the viewer shows this run."""
     task: str | None = None
     method: str | None = None
     seed: int | None = None
@@ -45,11 +45,11 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     stage: str = ""
     eta_seconds: float | None = None
     success: float | None = None
-    """Of the sampled policy on Hw-Phy, at the last evaluation."""
+    """Share of episodes in which the sampled policy reached the goal on Hw-Phy, at the last evaluation."""
 
 
 class Runs:
-    """Thread-safe; every reading is fresh from the folder."""
+    """Runs of one folder with their trainers. It is thread-safe, and every reading is fresh from the folder."""
 
     def __init__(self, folder: Path, spawn: Callable[..., subprocess.Popen[bytes]] = spawn_trainer) -> None:
         self.folder = folder

@@ -22,18 +22,6 @@ MODULES = sorted(
 PREFIX = re.compile(r"(\([\w, ()*+-]+\) )?([\w/^²]+: )?")
 """Shape, and a symbol or a unit with a colon, which may stand before a sentence."""
 CODE = re.compile(r"[`/\"]|\w+(_\w|\.\w|\()")
-STILL_TO_REWRITE = {
-    "morph_core/config.py", "morph_core/derive.py", "morph_core/exploration.py", "morph_core/history.py",
-    "morph_core/protocol.py", "morph_core/run_folder.py", "morph_core/state.py", "morph_core/task.py",
-    "morph_core/tasks/grasp.py", "morph_core/tasks/hand.py", "morph_core/tasks/mouse_click.py",
-    "morph_core/tasks/pen_press.py", "morph_core/tasks/printed.py", "morph_core/tasks/reacher.py",
-    "morph_core/tasks/simulation.py", "studio/cli/arguments.py", "studio/cli/train.py", "studio/export/archive.py",
-    "studio/export/bundle.py", "studio/export/check.py", "studio/export/design_file.py", "studio/export/parts.py",
-    "studio/export/picture.py", "studio/export/policy.py", "studio/export/provenance.py", "studio/export/urdf.py",
-    "studio/geometry.py", "studio/runs.py", "studio/viewer/parts.py", "studio/viewer/start.py",
-    "studio/viewer/take.py",
-}  # fmt: skip
-"""Files whose docstrings do not all stand alone yet; one that does must leave this list, and none may join it."""
 FRAGMENT = re.compile(r"(Of|By|For|In|On|At|As|With|Along|Times|Than|Which|Are|Is|Its|The same)\b", re.IGNORECASE)
 """First words that continue the name of a field or a function, so that the sentence can't be read without it."""
 
@@ -105,11 +93,7 @@ def _faults(path: Path) -> list[str]:
 
 @pytest.mark.parametrize("path", MODULES, ids=map(str, MODULES))
 def test_every_docstring_of_a_module_stands_alone(path: Path) -> None:
-    faults = _faults(path)
-    if str(path) in STILL_TO_REWRITE:
-        assert faults, f"{path} can leave STILL_TO_REWRITE"
-    else:
-        assert faults == []
+    assert _faults(path) == []
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ class TaskEnv(Episodes, gymnasium.Env[np.ndarray, np.ndarray]):
 
     @property
     def phi(self) -> np.ndarray:
-        """(d,) the design."""
+        """Design phi (d,) of the environment."""
         return self._phi[0].copy()
 
     def reset(

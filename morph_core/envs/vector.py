@@ -55,17 +55,17 @@ class TaskVectorEnv(Episodes, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     @property
     def phi(self) -> np.ndarray:
-        """(N, d) the designs."""
+        """Designs phi (N, d) of the environments."""
         return self._phi.copy()
 
     @property
     def np_random(self) -> tuple[np.random.Generator, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The environments' generators, as SyncVectorEnv has them."""
+        """Generators (N) of the environments, as SyncVectorEnv has them."""
         return tuple(generator for generator, _ in self._seeded([None] * self.num_envs))
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The seeds that the generators were made from."""
+        """Seeds (N) from which the environments' generators were made."""
         return tuple(seed for _, seed in self._seeded([None] * self.num_envs))
 
     def reset(

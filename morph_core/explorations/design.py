@@ -21,12 +21,12 @@ class Design(ExploredDesigns, Exploration):
     """Every episode runs on Hw-Phy with its own design around phi, so that what z explores is what a body can do."""
 
     kappa: NotNegative = 0.3
-    """Weight of the task's pull on the proxy."""
+    """kappa: weight of the task's pull on the proxy."""
     z_sigma: Positive = 0.5
     """sigma_z: scale of the exploration of z, in units of z."""
     drift_clip: NotNegative = 0.0
-    """Differences between two designs' z count up to this, in units of z: a larger one compares a state in contact
-    with one that is free. 0: no limit."""
+    """Limit of the difference between two designs' z, in units of z: a larger one compares a state in contact with one
+    that is free. 0 sets no limit."""
 
     name: ClassVar[str] = "design"
 

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from morph_core.state import State
 
 LARGEST_LOG_RATIO = 10.0
-"""Keeps the probability ratio of a z that the proxy has left far behind from overflowing."""
+"""Largest logarithm of a probability ratio, so that the ratio of a z that the proxy has left far behind does not
+overflow."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Gaussian(Exploration):
     noise: Positive = 0.1
     """sigma_z: standard deviation of z around the proxy's output, in units of z."""
     clip_coef: Positive = 0.6
-    """PPO's clip of the probability ratio of z."""
+    """Clip of the probability ratio of z, as in PPO."""
 
     name: ClassVar[str] = "gaussian"
 

@@ -22,12 +22,12 @@ class Direct(Method):
     holds. Ours, not the paper's."""
 
     step: NotNegative = 1.5
-    """Step of the natural evolution strategy."""
+    """Step size of the natural evolution strategy on phi."""
     freeze_success: Share = 0.0
-    """From this share of successful trajectories on, phi is frozen and every episode runs on it. Among episodes that
-    all succeed, ranking is noise and would move phi at random. 0: never."""
+    """Share of successful trajectories from which on phi is frozen and every episode runs on it; 0 never freezes it.
+    Among episodes that all succeed, ranking is noise and would move phi at random."""
     designs: ExploredDesigns = ExploredDesigns()
-    """Which designs are tried around phi, and what their episodes count."""
+    """Designs that are tried around phi, and what their episodes count."""
 
     name: ClassVar[str] = "direct"
     title: ClassVar[str] = "φ follows the returns of the designs that are explored"

@@ -29,17 +29,17 @@ class Morph(Method):
     alpha: NotNegative = 1.0
     """alpha: weight of the divergence between proxy and Hw-Phy in Eq. 2."""
     projection: Projection = "none"
-    """What happens to g_task where it conflicts with g_hw: the rule of the gradient projection."""
+    """Rule of the gradient projection: what happens to g_task where it conflicts with g_hw."""
     freeze_success: Share = 0.0
-    """From this share of successful trajectories on, phi is frozen and every episode runs on it. Among episodes that
-    all succeed, ranking is noise and would move phi at random. 0: never."""
+    """Share of successful trajectories from which on phi is frozen and every episode runs on it; 0 never freezes it.
+    Among episodes that all succeed, ranking is noise and would move phi at random."""
     proxy: ProxyFit = ProxyFit()
-    """How the proxy is fitted."""
+    """Fit of the proxy to Hw-Phy."""
     exploration: Exploration = Design()
-    """How z is explored: `design` draws designs around phi on Hw-Phy, `gaussian` is the paper's noise on the proxy's
+    """Exploration of z: `design` draws designs around phi on Hw-Phy, `gaussian` is the paper's noise on the proxy's
     z."""
     search: Search = Cma()
-    """How phi is searched for (Eq. 3): `cma` is CMA-ES on the divergence, `gradient` its gradient where Hw-Phy is
+    """Search for phi (Eq. 3): `cma` is CMA-ES on the divergence, `gradient` its gradient where Hw-Phy is
     differentiable, `drift` least squares on what the task asks of the proxy, where contact makes the divergence
     rough."""
 

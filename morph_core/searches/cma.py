@@ -15,11 +15,11 @@ class Cma(Search):
     """CMA-ES on the divergence, as in the paper; it never ends worse than it started."""
 
     population: Annotated[int, Meta(ge=4)] = 12
-    """Candidates per generation."""
+    """Candidate designs per generation of CMA-ES."""
     generations: Count = 20
-    """Generations per search."""
+    """Generations of CMA-ES per search for phi."""
     sigma0: Positive = 0.1
-    """CMA-ES's first step size, in units of each parameter's scale."""
+    """sigma0: first step size of CMA-ES, in units of each parameter's scale."""
 
     name: ClassVar[str] = "cma"
 

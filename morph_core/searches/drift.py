@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from morph_core.hw_nn import HwNN
 
 _SMALLEST_CHANGE = 1e-3
-"""Of z between two designs, in units of z: keeps a component that nothing changes from being divided by 0."""
+"""Number in units of z that is added to the typical change of z between two designs, so that a component that nothing
+changes is not divided by 0."""
 
 
 @dataclass(frozen=True)
@@ -26,14 +27,14 @@ class Drift(Search):
     divergence rough, every candidate costs more than the present phi, and a search for the least cost stands still."""
 
     drift_clip: NotNegative = 0.0
-    """Differences between two designs' z count up to this, in units of z: a larger one compares a state in contact
-    with one that is free. 0: no limit."""
+    """Limit of the difference between two designs' z, in units of z: a larger one compares a state in contact with one
+    that is free. 0 sets no limit."""
     designs: Annotated[int, Meta(ge=4, multiple_of=4)] = 24
-    """Designs, in two halves of antithetic pairs, over which dz/dphi is averaged."""
+    """Number of designs, in two halves of antithetic pairs, over which dz/dphi is averaged."""
     ridge: NotNegative = 0.2
     """Ridge of the least squares, as a share of the mean curvature."""
     limit: Positive = 1.5
-    """The longest step, in units of the explored Sigma."""
+    """Longest step of phi in one search, in units of the explored designs' Sigma."""
 
     name: ClassVar[str] = "drift"
 

@@ -15,7 +15,7 @@ class Gradient(Search):
     """Projected gradient descent on the divergence; it needs a Hw-Phy that is differentiable in phi."""
 
     steps: Count = 200
-    """Gradient steps per search."""
+    """Gradient steps per search for phi."""
 
     name: ClassVar[str] = "gradient"
 

@@ -18,7 +18,7 @@ SERVO_TORQUE = 500.0  # N m
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """phi = [length of each link (m)]; what the arm is made of when it is shown and exported."""
+    """The arm as it is shown and exported, with phi = [length of each link (m)]."""
 
     start: np.ndarray
     """(links,) rad: joint angles of the start posture."""

@@ -35,7 +35,7 @@ POSE_MIDDLE, POSE_SPREAD = (0, 0, 0.15, 1, 0, 0, 0), (0.1, 0.1, 0.15, 0.3, 0.3, 
 Grasp = Literal["any_two", "two_besides_presser"]
 
 Z_PALM, Z_JOINT, Z_POSITION, Z_ROTATION = 0.03, 0.15, 0.02, 0.1
-"""m, rad, m, rad: typical changes in a control step, the units of z."""
+"""Typical changes of palm (m), joints (rad), object position (m) and rotation (rad) in a control step: units of z."""
 
 # What works for the hands; docs/hands.md has the figures.
 _DESIGNS = ExploredDesigns(sigma=1.0, sigma_end=0.2, hold=0.4, correlation=0.5, utility="log_rank", advantage_limit=5.0)
@@ -76,12 +76,12 @@ class Columns:
 
     @property
     def moved(self) -> slice:
-        """Joints and object position: what changes by plain differences."""
+        """Columns of joints and object position, which change by plain differences."""
         return slice(self.position.stop)
 
     @property
     def seen(self) -> slice:
-        """Joints and object pose: what the policy sees."""
+        """Columns of joints and object pose, which the policy sees."""
         return slice(self.orientation.stop)
 
 
@@ -93,16 +93,16 @@ class GraspTask(Settings, Task):
     """
 
     grasp: Grasp = "any_two"
-    """The object is in the hand where it has risen with two fingers on it or its button ("any_two"), or with two on its
-    body besides the one that presses ("two_besides_presser")."""
+    """Rule by which the object is in the hand: it has risen with two fingers on it or its button ("any_two"), or with
+    two on its body besides the one that presses ("two_besides_presser")."""
     servo: Servo = "none"
     """The servo for which the palm has pockets, one above each finger: they cost mass, and fingers need more room."""
     initial_length: NotNegative = 0.12
-    """m: both links of every finger of the initial design."""
+    """m: length of both links of every finger of the initial design."""
     lift_height: NotNegative = 0.05
-    """m: this far above the table, the object is in the hand if enough fingers touch it."""
+    """m: height above the table from which on the object is in the hand if enough fingers touch it."""
     goal_height: NotNegative = 0.30
-    """m: p_goal is this high above the middle of the table."""
+    """p_goal: height in m above the middle of the table to which the object is to be lifted."""
     distance_weight: NotNegative = 0.3
     """Reward per metre between object and p_goal (enters with a minus), capped at its value at the start. Without the
     cap a shove, which the first touch nearly always is, costs reward, and the policy learns not to touch."""
@@ -116,22 +116,22 @@ class GraspTask(Settings, Task):
     goal_bonus: NotNegative = 10.0
     """beta_2: reward while a distal link presses the button and the object is in the hand."""
     reward_scale: NotNegative = 0.2
-    """All weights and the bonus are multiplied by it."""
+    """Factor by which all weights and the bonus are multiplied."""
     palm_step: NotNegative = 0.05
-    """m: the largest change of the palm's target."""
+    """m: largest change of the palm's target per control step."""
     joint_step: NotNegative = 0.3
-    """rad: the largest change of a joint's target."""
+    """rad: largest change of a joint's target per control step."""
     initial_closing: NotNegative = 0.3
-    """How fast an untrained policy moves the proximal joints inward, as a share of `joint_step`. Flailing about the
-    start posture lifts the object in none of 256 episodes, closing and rising in one of seven at .26 m."""
+    """Speed at which an untrained policy moves the proximal joints inward, as a share of `joint_step`. Flailing about
+    the start posture lifts the object in none of 256 episodes, closing and rising in one of seven at .26 m."""
     initial_curling: NotNegative = 0.1
-    """How fast an untrained policy curls the distal joints, as a share of `joint_step`."""
+    """Speed at which an untrained policy curls the distal joints, as a share of `joint_step`."""
     initial_rising: NotNegative = 0.15
-    """How fast an untrained policy moves the palm upward, as a share of `palm_step`."""
+    """Speed at which an untrained policy moves the palm upward, as a share of `palm_step`."""
     start_noise: NotNegative = 0.01
-    """m: the object starts this far off the middle at most, and turned by up to 5 rad per metre of it."""
+    """m: largest distance of the object from the middle at the start; its largest turn is 5 rad per metre of this."""
     travel: NotNegative = 0.02
-    """m: how far the button can be pressed in."""
+    """m: distance by which the button can be pressed in."""
     stiffness: NotNegative = 60.0
     """N/m: the stiffness of the button's spring."""
 
@@ -141,7 +141,7 @@ class GraspTask(Settings, Task):
     name: ClassVar[str]
     title: ClassVar[str]
     object_noun: ClassVar[str]
-    """What the object is called in a sentence."""
+    """Noun by which a sentence calls the object."""
     fingers: ClassVar[int]
     runs_on_proxy: ClassVar[bool] = False
 
@@ -158,7 +158,7 @@ class GraspTask(Settings, Task):
     @property
     @abstractmethod
     def half_extents(self) -> np.ndarray:
-        """(3,) m: half the sides of the box round the object, which lies flat on the table, its frame in the middle."""
+        """Half-extents (3,) in m of the box round the object, which lies flat on the table, its frame in the middle."""
 
     @abstractmethod
     def add_object(self, spec: mujoco.MjSpec) -> None:
@@ -183,7 +183,7 @@ class GraspTask(Settings, Task):
 
     @cached_property
     def columns(self) -> Columns:
-        """Where joints, object and button are in s."""
+        """Columns of s in which joints, object and button are."""
         return Columns.of(self.hand.joints)
 
     @property
@@ -226,7 +226,7 @@ class GraspTask(Settings, Task):
 
     @property
     def action_units(self) -> np.ndarray:
-        """(action_size,) m or rad: the largest change of each servo's target."""
+        """Largest change of each servo's target (action_size,), in m or rad."""
         return np.array([self.palm_step, *[self.joint_step] * (2 * self.fingers)])
 
     def split(self, s: np.ndarray) -> list[np.ndarray]:
@@ -326,7 +326,7 @@ class GraspTask(Settings, Task):
         )
 
     def solved(self, reached: np.ndarray) -> np.ndarray:
-        """Held: (N,) bool, reached (T, N) in at least half of the last ten control steps."""
+        """Tell (N,) which episodes held the goal: `reached` (T, N) in at least half of the last ten control steps."""
         return reached[-10:].mean(0) >= 0.5
 
     def spec(self, phi: np.ndarray) -> mujoco.MjSpec:

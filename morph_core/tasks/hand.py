@@ -23,7 +23,7 @@ DISTAL_RANGE = (-0.6, 2.2)  # rad, inward
 JOINT_KP, JOINT_KV, JOINT_TORQUE = 8.0, 0.6, 4.0  # N m/rad, N m s/rad, N m
 JOINT_DAMPING, JOINT_ARMATURE = 0.1, 0.01  # N m s/rad, kg m^2
 SPACING: dict[Servo, float] = {"none": 2 * FINGER_RADIUS, "mg90s": 0.0445}
-"""m: the least distance of neighbouring fingers on the palm: neither they nor their servos are in each other."""
+"""Least distance of neighbouring fingers on the palm in m, with which neither they nor their servos overlap."""
 START_PROXIMAL, START_DISTAL = 1.45, 0.25  # rad: fingers spread out and down
 START_CLEARANCE = 0.09  # m: between table and fingertips
 LENGTH_BOX = (0.02, 0.4)  # m
@@ -38,7 +38,7 @@ TABLE_CONTACT = (0, 1 | 2)
 
 @dataclass(frozen=True)
 class Hand:
-    """phi = [change of each finger's placement angle (rad), length of both links of each finger (m)]."""
+    """A hand with phi = [change of each finger's placement angle (rad), length of both links of each finger (m)]."""
 
     fingers: int
     initial_length: float
@@ -47,21 +47,22 @@ class Hand:
 
     @cached_property
     def base_angles(self) -> np.ndarray:
-        """(n,) rad: where the fingers of the initial design stand round the palm."""
+        """Angles (n,) in rad at which the fingers of the initial design stand round the palm."""
         return 2 * np.pi * np.arange(self.fingers) / self.fingers
 
     @property
     def joints(self) -> int:
-        """The palm's slide and two hinges per finger."""
+        """Number of joints: the palm's slide and two hinges per finger."""
         return 1 + 2 * self.fingers
 
     @property
     def joint_range(self) -> np.ndarray:
-        """(joints, 2) m or rad."""
+        """Lower and upper limit of each joint, (joints, 2) in m or rad."""
         return np.array([PALM_RANGE, *[PROXIMAL_RANGE, DISTAL_RANGE] * self.fingers])
 
     @property
     def design_space(self) -> DesignSpace:
+        """Box of phi (d,): placement angles, then link lengths, of all fingers."""
         fingers = range(1, self.fingers + 1)
         (near, far), (short, long) = PLACEMENT_BOX, LENGTH_BOX
         return DesignSpace(

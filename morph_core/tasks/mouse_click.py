@@ -32,7 +32,7 @@ class MouseClick(GraspTask):
     """
 
     length: NotNegative = 0.62
-    """m: the mouse from rear to front."""
+    """m: length of the mouse from rear to front."""
     width: NotNegative = 0.46
     """m: the mouse's width: fingers of the initial design reach its shoulders only, those of .2 m get round them."""
     height: NotNegative = 0.14
@@ -40,7 +40,7 @@ class MouseClick(GraspTask):
     mass: NotNegative = 0.4
     """kg: the mass of the mouse without its button. Half of it can be lifted without learning to squeeze."""
     travel: NotNegative = 0.015
-    """m: how far the button can be pressed in."""
+    """m: distance by which the button can be pressed in."""
 
     name: ClassVar[str] = "mouse_click"
     title: ClassVar[str] = "5-finger hand lifts a mouse and presses its button"

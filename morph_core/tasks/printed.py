@@ -19,12 +19,12 @@ ARM_SCALE = 2.5
 Servo = Literal["none", "mg90s"]
 """The servo for which the palm has pockets, one for each finger."""
 LinkKind = Literal["proximal", "distal"]
-"""A proximal link ends in a clevis, a distal one in a fingertip."""
+"""Kind of a link: a proximal one ends in a clevis, a distal one in a fingertip."""
 
 
 @dataclass(frozen=True)
 class Inertial:
-    """What MuJoCo and URDF want to know of a body, in its own frame."""
+    """Mass properties of a body in its own frame, as MuJoCo and URDF want them."""
 
     mass: float
     """kg: the mass."""
@@ -53,6 +53,7 @@ class Moments:
         return Moments(self.volume, rotation @ self.first, rotation @ self.second @ rotation.T)
 
     def scaled(self, factor: float) -> "Moments":
+        """Return the moments after all lengths were multiplied by `factor`."""
         return Moments(factor**3 * self.volume, factor**4 * self.first, factor**5 * self.second)
 
     def inertial(self, density: float = DENSITY) -> Inertial:
@@ -73,6 +74,7 @@ class LinkMoments:
     zz: tuple[float, ...]
 
     def at(self, length: float) -> Moments:
+        """Return the moments of a link of `length` m."""
         powers = length ** np.arange(4)
 
         def value(coefficients: tuple[float, ...]) -> float:

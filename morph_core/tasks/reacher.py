@@ -33,7 +33,7 @@ class Tunnel:
     xs: tuple[float, ...]
     """m: where the centre line bends; solid only for xs[0] <= x <= xs[-1]."""
     ys: tuple[float, ...]
-    """m: height of the centre line there."""
+    """m: height of the centre line at each bend."""
     gap: float
     """m: the vertical width of the corridor."""
     goal: tuple[float, float]
@@ -121,6 +121,7 @@ class ForwardKinematics:
         return points
 
     def jacobian(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return dz/dphi (N, z_size, 5) for states s (N, state_size) and executed actions a (N, 5)."""
         heading = np.cumsum(s[:, :LINKS] + a, -1)
         direction = np.stack([np.cos(heading), np.sin(heading)], -1)  # (N, link, 2)
         reaches = np.tri(LINKS)  # joint i is carried by the links up to i
@@ -140,21 +141,21 @@ class Reacher(Settings, Task):
     """
 
     tunnel: Literal["zigzag", "paper"] = "zigzag"
-    """The tunnel: made for this project, or measured from the paper's figure."""
+    """Tunnel that the arm has to thread: made for this project, or measured from the paper's figure."""
     z: Literal["joints", "tip"] = "joints"
-    """What hardware puts out: all joint positions, or the paper's end-effector alone."""
+    """z: output of the hardware, which is all joint positions, or the paper's end-effector alone."""
     action_scale: NotNegative = 0.2
     """rad: largest change of a joint angle per control step."""
     start_noise: NotNegative = 0.05
     """rad: standard deviation of each joint angle at the start."""
     sweep_resolution: Annotated[float, Meta(ge=1e-3)] = 0.015
-    """m: no point of the arm moves further than this between two postures tested for collision."""
+    """m: largest move of any point of the arm between two postures that are tested for collision."""
     distance_weight: NotNegative = 1.0
     """Reward per metre between tip and goal (enters with a minus)."""
     centre_weight: NotNegative = 0.5
     """beta_0: reward per metre between tip and centre line, at most `centre_limit` (enters with a minus)."""
     centre_limit: NotNegative = 4.0
-    """m: beyond this the distance to the centre line counts no more."""
+    """m: distance to the centre line beyond which more of it counts no more."""
     collision_weight: NotNegative = 0.2
     """beta_1: reward for a move that contact stops altogether (enters with a minus)."""
     goal_bonus: NotNegative = 10.0
@@ -162,7 +163,7 @@ class Reacher(Settings, Task):
     stuck_cost: NotNegative = 10.0
     """Cost of each step of a design whose start posture reaches into the tunnel or a wall."""
     reward_scale: NotNegative = 0.02
-    """All weights, bonuses and costs are multiplied by it: returns of order one suit the critic."""
+    """Factor by which all weights, bonuses and costs are multiplied: returns of order one suit the critic."""
 
     name: ClassVar[str] = "reacher"
     title: ClassVar[str] = "5-link arm through a zig-zag tunnel"
@@ -195,6 +196,7 @@ class Reacher(Settings, Task):
 
     @property
     def walls(self) -> Tunnel:
+        """Tunnel that is chosen, whose walls the arm collides with."""
         return TUNNELS[self.tunnel]
 
     @property

@@ -16,16 +16,18 @@ TIMESTEP = 0.01  # s
 SUBSTEPS = 10
 """Physics steps per control step."""
 SENSOR_SIZE = 4
-"""How many numbers a contact sensor gives: how many contacts there are, and where the strongest is."""
+"""Number of values that a contact sensor gives: how many contacts there are, and where (m) the strongest is."""
 FASTEST = 100.0
-"""m/s or rad/s: a simulation that moves faster has exploded."""
+"""Speed in m/s or rad/s beyond which a simulation has exploded."""
 
 
 class Simulated(Protocol):
-    """What the physics wants to know of a task."""
+    """What the physics of a hand wants to know of a task."""
 
     @property
-    def hand(self) -> Hand: ...
+    def hand(self) -> Hand:
+        """Hand that is simulated, without a design."""
+        ...
 
     def scene(self, phi: np.ndarray) -> mujoco.MjSpec:
         """Return hand, object, table and contact sensors with design phi (d,)."""

@@ -19,7 +19,7 @@ Body = TypeVar("Body")
 
 
 class StartRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What to run. `settings` are those of the method under dotted names, such as `search.ridge`, or nested;
+    """Wish for a new run. `settings` are those of the method under dotted names, such as `search.ridge`, or nested;
     `task_options` are fields of the task; unset ones are defaults."""
 
     task: str
@@ -57,7 +57,7 @@ class BrokenPlugin(msgspec.Struct, frozen=True):
     """A plug-in that is installed and can't be used."""
 
     group: str
-    """Its entry-point group, such as "morph.tasks"."""
+    """Entry-point group of the plug-in, such as "morph.tasks"."""
     name: str
     package: str
     reason: str
@@ -69,7 +69,7 @@ class TaskList(msgspec.Struct, frozen=True):
     tasks: list[TaskInfo]
     methods: list[str]
     method_titles: dict[str, str]
-    """Each method in a sentence."""
+    """Clause on what each method does, by its name."""
     broken: list[BrokenPlugin]
     """The plug-ins that are installed and can't be used."""
 

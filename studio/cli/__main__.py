@@ -1,4 +1,4 @@
-"""`python -m studio.cli`: the same as `morph-studio`."""
+"""Entry of `python -m studio.cli`, which does what `morph-studio` does."""
 
 from studio.cli import main
 

@@ -22,15 +22,15 @@ RunName = Annotated[str, tyro.conf.arg(metavar="RUN")]
 
 
 class UsageError(ValueError):
-    """What was asked for is not possible; the message says what is."""
+    """Error of a command line that asks for what is not possible; the message says what is."""
 
 
 @dataclass(frozen=True)
 class RunsArguments:
-    """Where the runs lie; part of every command."""
+    """Arguments of every command that works on runs."""
 
     runs: Annotated[Path, tyro.conf.arg(metavar="DIR")] = field(default_factory=default_runs)
-    """Folder of the runs; MORPH_RUNS from the environment."""
+    """Folder of the runs; by default MORPH_RUNS from the environment, else `runs`."""
 
 
 def parse(kind: type[T], words: Sequence[str], command: str) -> T:
@@ -120,4 +120,4 @@ _PLAIN = (
     (r"could not convert string to float: (.*)", r"\1 is no number"),
     (r"\bINT\b", "whole number"),
 )
-"""What the parser says -> the same in plain words."""
+"""Patterns of what the parser says, each with the same in plain words."""

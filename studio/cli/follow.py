@@ -21,7 +21,7 @@ from studio.inquest import Child, start_child
 
 POLL_SECONDS = 0.2
 LINE_SECONDS = 5.0
-"""How often a line is printed where there is no terminal."""
+"""Seconds between two printed lines where there is no terminal."""
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,15 @@ class ServeArguments(RunsArguments):
     host: str = "127.0.0.1"
     """Address to listen on; any other than this machine's own needs a token."""
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = field(default_factory=default_port)
-    """Port to listen on; PORT from the environment."""
+    """Port to listen on; by default PORT from the environment, else 8000."""
     token: Annotated[str | None, tyro.conf.arg(metavar="TOKEN")] = None
     """Token that browsers and API clients must know; without it, MORPH_TOKEN from the environment."""
     no_browser: bool = False
-    """Print the URL, and do not open it."""
+    """Print the address of the studio without opening it in a browser."""
 
 
 def main(words: Sequence[str]) -> int:
+    """Run `morph-studio serve` with these words; return the exit status."""
     try:
         arguments = parse(ServeArguments, words, "serve")
         given: dict[str, Any] = {} if arguments.token is None else {"token": arguments.token}

@@ -34,16 +34,17 @@ class TrainArguments(RunsArguments):
     """
 
     task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")] = ""
-    """The task; with --resume it may be left out."""
+    """Task to train on; with --resume it may be left out."""
     iterations: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Iterations of a new run (100); with --resume, how many beyond the last recorded one (as planned)."""
+    """Iterations of a new run (100 by default); with --resume, those after the last recorded one, or as planned."""
     resume: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
-    """Go on with this run, a name or the path of its folder, from its newest checkpoint."""
+    """Run to go on with from its newest checkpoint: its name, or the path of its folder."""
     json: bool = False
     """Print one JSON document at the end and nothing else."""
 
 
 def main(words: Sequence[str]) -> int:
+    """Run `morph-studio train` with these words; return the exit status. UsageError says what is allowed."""
     wanted = _asked(words)
     asked = wanted.arguments
     if asked.iterations is not None and asked.iterations < 1:

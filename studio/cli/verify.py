@@ -17,7 +17,7 @@ class VerifyArguments:
     """Read an export back and compare all its files; exit with 1 if anything disagrees."""
 
     bundle: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BUNDLE")] = tyro.MISSING
-    """The zip or the folder that morph-studio export wrote."""
+    """Export to check: the zip or the folder that morph-studio export wrote."""
     episodes: Count = 128
     """Number of episodes in which the policy is run on the files; 0 leaves this out."""
     every: bool = False

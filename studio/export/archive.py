@@ -13,6 +13,7 @@ MAX_FILES, MAX_BYTES = 2000, 256 << 20
 
 
 def zipped(files: Mapping[str, bytes], compress: bool = True) -> bytes:
+    """Return a zip of files by their path, without the time at which it was made."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED) as archive:
         for path, content in files.items():

@@ -41,7 +41,7 @@ ALL_FORMATS = (*FORMATS, *OPTIONAL_FORMATS)
 MESH_FORMATS = ("stl", "3mf", "glb", "step")
 """Formats that are made of parts."""
 EPISODES = 32
-"""How many episodes measure the policy's success on the exported files: an export may take three seconds for it."""
+"""Number of episodes that measure the policy's success on the exported files, for which an export may take 3 s."""
 _SHIPPED = Path(__file__).parent / "shipped"
 
 
@@ -50,7 +50,7 @@ class Bundle:
     """An export that has been checked."""
 
     name: str
-    """The name of the zip."""
+    """File name of the zip."""
     files: Mapping[str, bytes]
     checks: Sequence[Check]
     content: bytes
@@ -68,7 +68,7 @@ def build_bundle(history: History, which: str, formats: Sequence[str] | None = N
 
 
 def default_formats(task: Task) -> tuple[str, ...]:
-    """Return what is exported unless it is said otherwise."""
+    """Return the formats that are written unless others are asked for."""
     return FORMATS if robot_of(task).has_parts else tuple(f for f in FORMATS if f not in MESH_FORMATS)
 
 

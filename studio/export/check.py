@@ -15,15 +15,16 @@ class Check:
     worst: float
     allowed: float
     detail: str = ""
-    """Where the largest difference is, or why there is no comparison."""
+    """Words on where the largest difference is, or why there is no comparison."""
 
     @property
     def passed(self) -> bool:
+        """Whether the largest difference is allowed; false where it is NaN."""
         return self.worst <= self.allowed  # False for NaN
 
     @property
     def facts(self) -> dict[str, object]:
-        """For JSON, which knows no infinity."""
+        """Return the fields and `passed` for JSON, which knows no infinity: there `worst` is None."""
         worst = self.worst if math.isfinite(self.worst) else None
         return {
             "name": self.name,

@@ -15,7 +15,7 @@ KIND = "morph-studio design"
 FORMAT = 1
 """Format of design.json, which has not changed since the first version."""
 DESIGN_TYPES = "application/json,application/zip"
-"""What a browser is asked for: a design.json, or a bundle."""
+"""Types of the files that a browser offers for an upload: a design.json, or a bundle."""
 
 
 class Value(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,25 +38,25 @@ class PartEntry(msgspec.Struct, frozen=True):
     name: str
     links: list[str]
     mass: float
-    """kg: the mass of one such part."""
+    """kg: the mass of one copy of the part."""
 
 
 class _Head(msgspec.Struct, frozen=True):
-    """What a design.json of any format has."""
+    """Fields that a design.json of any format has."""
 
     kind: str
     format: int
 
 
 class Design(msgspec.Struct, frozen=True, kw_only=True):
-    """design.json."""
+    """Content of design.json: phi with its names, units and bounds, and where it comes from."""
 
     kind: str = KIND
     format: int = FORMAT
     task: str
     task_options: dict[str, object]
     robot: str
-    """The names of the robot's files begin with it."""
+    """Word with which the names of the robot's files begin."""
     run: str
     design: str
     iteration: int
@@ -65,7 +65,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def phi(self) -> np.ndarray:
-        """(d,) in the order of the file."""
+        """Design phi (d,) in the order of the file."""
         return np.array([p.value for p in self.parameters])
 
 

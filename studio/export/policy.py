@@ -23,13 +23,13 @@ SMALLEST_STD, LARGEST_STD = 0.02, 2.0
 
 @dataclass(frozen=True)
 class Policy:
-    """pi_theta(a | s) = N(mean, std^2), in units of the largest action; the mean has tanh between its layers."""
+    """Policy pi_theta(a | s) = N(mean, std^2), in units of the largest action; the mean has tanh between its layers."""
 
     weights: list[np.ndarray]
     biases: list[np.ndarray]
     std: np.ndarray  # (action_size,)
     iteration: int
-    """The iteration of the checkpoint it was read from."""
+    """Iteration of the checkpoint from which the policy was read."""
 
     def act(self, observation: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
         """Return actions (N, action_size) for observations (N, o); the mean where `rng` is None."""
@@ -48,7 +48,8 @@ class Score(msgspec.Struct, frozen=True):
     where: str = ""
 
     def allowed(self, other: "Score") -> float:
-        """Return how far two such shares may lie apart by chance: three standard deviations, and one episode."""
+        """Return how far the success of this score and of `other` may lie apart by chance: three standard deviations,
+        and one episode."""
         n, m = self.episodes, other.episodes
         share = (self.success * n + other.success * m + 1) / (n + m + 2)
         return 3 * math.sqrt(share * (1 - share) * (1 / n + 1 / m)) + 1 / min(n, m)

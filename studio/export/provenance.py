@@ -22,7 +22,7 @@ class TakenCommand(msgspec.Struct, frozen=True):
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
-    """provenance.json. Everything but `exported` is the same each time the same design is exported."""
+    """Content of provenance.json. Everything but `exported` is the same each time the same design is exported."""
 
     kind: str = KIND
     run: str
@@ -44,16 +44,17 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     sha256: dict[str, str]
     """Digests of every other file, by path."""
     checks: list[str]
-    """How the exported files were compared with the simulated robot."""
+    """Comparisons of the exported files with the simulated robot, a line each."""
     policy: list[Score] = []
-    """How able the policy was: on the exported files, and in training with the same design."""
+    """Scores of the policy on the exported files, and in training with the same design."""
     exported: str
-    """When it was exported (UTC)."""
+    """Time of the export (UTC)."""
 
 
 def provenance_of(
     history: History, iteration: int, files: Mapping[str, bytes], checks: list[str], policy: list[Score]
 ) -> Provenance:
+    """Return where the design of an iteration comes from, with a digest of each of `files`."""
     record = history.record
     commands = [TakenCommand(e.iteration, e.command) for e in history.commands(iteration)]
     return Provenance(

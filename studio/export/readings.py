@@ -17,14 +17,15 @@ class Reading:
 
     masses: dict[str, float]  # kg
     inertias: dict[str, np.ndarray]
-    """(3, 3) kg m^2 about the centre of mass, in the axes of the body."""
+    """Inertias (3, 3) in kg m^2 about the centre of mass, in the axes of the body."""
     limits: dict[str, tuple[float, float]]
     efforts: dict[str, float]  # N or N m
     dampings: dict[str, float]
     extents: dict[str, np.ndarray]
-    """(2, 3) m: corners of the box round a body's collision shapes, from its centre of mass, in its axes."""
+    """Corners (2, 3) in m of the box round a body's collision shapes, from its centre of mass, in its axes."""
     poses: Callable[[Mapping[str, float]], dict[str, np.ndarray]]
-    """Joint values -> (4, 4) of each body: its axes, at its centre of mass, seen from the base; sites likewise.
+    """Function of joint values that returns a matrix (4, 4) for each body: its axes, at its centre of mass, seen from
+    the base; sites likewise.
 
     A URDF link's frame is at its joint, which may be elsewhere in MuJoCo; the centre of mass is the same for all.
     """

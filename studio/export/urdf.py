@@ -20,7 +20,7 @@ from studio.robots.stl import stl
 NO_LIMIT = 1e6
 """The number that stands in for a limit which the task does not set, where URDF demands one (N, N m, m/s, rad/s, m)."""
 CARRIER_MASS = 1e-12
-"""kg and kg m^2: mass and inertia of links that are only a frame: without mass, readers refuse a moving link or make it
+"""Mass (kg) and inertia (kg m^2) of links that are only a frame: without mass, readers refuse a moving link or make it
 a kilogram."""
 MESHES = "meshes_urdf"
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
@@ -38,6 +38,7 @@ class Names:
 
 
 def urdf_names(model: mujoco.MjModel) -> Names:
+    """Return the names of links, joints and sites; what has none in the model is numbered from 1."""
     links, taken_joints = link_names(model), set[str]()
     taken_links = set(links)
     joints = [_unique(model.joint(i).name or f"joint_{i + 1}", taken_joints) for i in range(model.njnt)]

@@ -25,6 +25,7 @@ class ArmRobot:
     about_parts = bolted.ABOUT_PARTS
 
     def parts(self, phi: np.ndarray) -> list[Part]:
+        """Return foot and links of a design (d,); ValueError for one that can't be put together."""
         self.task.check_buildable(phi)
         last = len(phi)
         links = {
@@ -34,7 +35,9 @@ class ArmRobot:
         return parts_of({BASE: geometry.arm_base()} | links)
 
     def bought(self, parts: Sequence[Part]) -> list[Bought]:
+        """Return the pins and drives of the joints."""
         return [bolted.pins(parts, ARM_SCALE), bolted.drives(parts)]
 
     def program(self, phi: np.ndarray) -> Program:
+        """Return the program that runs the policy in MuJoCo's kinematics."""
         return Program("run_arm.py", units_of(self.task))

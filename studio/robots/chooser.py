@@ -1,4 +1,4 @@
-"""Which robot a task moves: by the kind of its member `robot`, never by its name."""
+"""The choice of the robot that a task moves: by the kind of its member `robot`, never by its name."""
 
 from morph_core.task import Task
 from morph_core.tasks.arm import Arm

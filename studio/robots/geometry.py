@@ -18,14 +18,17 @@ from morph_core.tasks.printed import ARM_SCALE, FILE, LAID, LinkKind, LinkMoment
 
 @dataclass(frozen=True)
 class Sizes:
-    """mm, unless a field says otherwise. The shortest link has little room: the tests tell when a change needs more."""
+    """Sizes of the parts in mm, unless a field says otherwise.
+
+    The shortest link has little room: the tests tell when a change needs more.
+    """
 
     wall: float = 4.0
     """Thickness of the material round a pin's bore."""
     pin_diameter: float = 4.0
     """Diameter of a dowel pin, which is pressed into the lugs."""
     pin_play: float = 0.2
-    """How much wider the bore of the tang is than the pin."""
+    """Difference of the diameters of the tang's bore and of the pin."""
     tang: float = 8.0
     """Thickness of the tang, along the pin."""
     side_play: float = 0.3
@@ -41,13 +44,13 @@ class Sizes:
     chamfer: float = 1.0
     """Width of a shoulder's chamfer."""
     fold: float = 2.2
-    """rad: how far a distal link can be folded against its proximal one, either way."""
+    """rad: largest angle by which a distal link can be folded against its proximal one, either way."""
     overlap: float = 0.4
-    """How far pieces reach into each other, to become one body."""
+    """Length by which pieces reach into each other, to become one body."""
     tip_start: float = 7.4
-    """How far before the end of the link the fingertip begins to taper."""
+    """Distance before the end of the link at which the fingertip begins to taper."""
     tip_reach: float = 14.5
-    """How far the fingertip reaches beyond the end of the link."""
+    """Length by which the fingertip reaches beyond the end of the link."""
     tip_radii: tuple[float, float, float] = (5.0, 8.5, 6.0)
     """Radii of the fingertip's round end: depth, width, length."""
     segments: int = 48
@@ -65,7 +68,7 @@ class Sizes:
     mount_radius: float = 60.0
     """Distance of the fingers' pins from the palm's axis."""
     mount_root: tuple[float, float] = (44.0, 54.0)
-    """Where a mount meets the palm: distances from the palm's axis."""
+    """Distances from the palm's axis between which a mount meets the palm."""
     bolt_circle: float = 50.0
     """Diameter of the circle on which the bolts are: with four M6 bolts it fits the flange ISO 9409-1-50-4-M6."""
     bolt_diameter: float = 6.6
@@ -107,7 +110,7 @@ class Sizes:
 
     @property
     def relief(self) -> float:
-        """Distance from the pin at which such a link has its full depth."""
+        """Distance from the pin at which a link that can be folded has its full depth."""
         half = (math.pi - self.fold) / 2
         return (self.half_depth + self.gap / 2 / math.cos(half)) / math.tan(half)
 

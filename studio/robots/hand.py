@@ -29,6 +29,7 @@ class HandRobot:
     about_parts = bolted.ABOUT_PARTS
 
     def parts(self, phi: np.ndarray) -> list[Part]:
+        """Return palm and links of a design (d,); ValueError for one that can't be put together."""
         self.task.check_buildable(phi)
         n, hand = self.hand.fingers, self.hand
         solids = {"palm": geometry.palm(tuple(float(a) for a in hand.base_angles + phi[:n]), hand.servo)}
@@ -38,6 +39,7 @@ class HandRobot:
         return parts_of(solids)
 
     def bought(self, parts: Sequence[Part]) -> list[Bought]:
+        """Return bolts, pins and what drives the fingers."""
         bolts = ["bolt M6 x 20", 4, "palm", "", "steel", "", "", "flange ISO 9409-1-50-4-M6; not in the masses"]
         servos = [
             f"servo {self.hand.servo.upper()}", self.hand.fingers, "palm", "", "", SERVO_MASS, "",
@@ -47,4 +49,5 @@ class HandRobot:
         return [bolted.pins(parts), bolts, *[servos] * (self.hand.servo != "none"), bolted.drives(parts)]
 
     def program(self, phi: np.ndarray) -> Program:
+        """Return the program that runs the policy in MuJoCo's physics."""
         return Program("run_hand.py", {**units_of(self.task), "substeps": np.array(SUBSTEPS)})

@@ -30,15 +30,16 @@ class Part:
     vertices: np.ndarray  # (V, 3) mm
     faces: np.ndarray  # (F, 3)
     density: float = DENSITY
-    """kg/m^3: the density of what it is made of."""
+    """kg/m^3: the density of what the part is made of."""
 
     @property
     def quantity(self) -> int:
+        """Number of copies of the part that the robot needs."""
         return len(self.links)
 
     @property
     def size(self) -> np.ndarray:
-        """(3,) mm."""
+        """Size (3,) of the box round the part, in mm along the axes of its link."""
         return np.ptp(self.vertices, axis=0)
 
     @property
@@ -48,10 +49,12 @@ class Part:
 
     @property
     def inertial(self) -> Inertial:
+        """Mass properties of the part in the frame of its link, in SI units."""
         return self.moments.inertial(self.density)
 
     @property
     def stl_path(self) -> str:
+        """Path of the part's STL file in a bundle."""
         return f"{STL_FOLDER}/{self.name}.stl"
 
 

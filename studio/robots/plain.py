@@ -15,7 +15,7 @@ from studio.robots.shapes import solid_of
 from studio.robots.units import units_of
 
 OFF_ALLOWED = 0.01
-"""How far MuJoCo may take the robot from where the task takes it in one control step, as a share of the way."""
+"""Largest distance between where MuJoCo and the task take the robot in one control step, as a share of the way."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,11 @@ class PlainRobot:
 
     @property
     def has_parts(self) -> bool:
+        """Whether any body of the initial design has a shape with a volume."""
         return bool(self.parts(self.task.design_space.initial))
 
     def parts(self, phi: np.ndarray) -> list[Part]:
+        """Return the shapes of each body as a part; ValueError for a design (d,) that can't be put together."""
         self.task.check_buildable(phi)
         model = self.task.spec(phi).compile()
         found: list[Part] = []
@@ -45,6 +47,7 @@ class PlainRobot:
         return found
 
     def bought(self, parts: Sequence[Part]) -> list[Bought]:
+        """Return nothing: a model does not tell what is bought."""
         return []
 
     def program(self, phi: np.ndarray) -> Program:

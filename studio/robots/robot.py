@@ -17,15 +17,16 @@ class Program:
     """The program that is shipped with a policy and runs it, with numpy and mujoco alone."""
 
     file: str
-    """The name of the program's source in `PROGRAMS`."""
+    """File name of the program's source in `PROGRAMS`."""
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """What the program reads from policy.npz beside the policy itself."""
+    """Arrays that the program reads from policy.npz beside the policy itself, by name."""
     command: str = "python run_policy.py"
     about: Sequence[str] = ()
-    """What README.txt says of the program beside the command, line by line."""
+    """Lines that README.txt says of the program beside the command."""
 
     @property
     def source(self) -> bytes:
+        """Source text of the program, as bytes."""
         return (PROGRAMS / self.file).read_bytes()
 
 
@@ -38,7 +39,7 @@ class Robot(Protocol):
 
     @property
     def file_name(self) -> str:
-        """How the names of the robot's files begin."""
+        """Word with which the names of the robot's files begin."""
         ...
 
     @property
@@ -62,7 +63,7 @@ class Robot(Protocol):
 
     @property
     def about_parts(self) -> str:
-        """What report.html says below the table of parts, as HTML."""
+        """Text of report.html below the table of parts, as HTML."""
         ...
 
     def program(self, phi: np.ndarray) -> Program:

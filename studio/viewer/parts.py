@@ -19,22 +19,24 @@ COLOURS = ("#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5
 
 @dataclass(frozen=True)
 class Unit:
-    """How a quantity is shown."""
+    """Unit in which a quantity is shown, and with how many digits."""
 
     name: str
     factor: float
-    """What the parameter's own number is multiplied by."""
+    """Factor by which the parameter's own number is multiplied."""
     digits: int
 
     def number(self, value: float) -> str:
+        """Return a value of the parameter as a number in this unit, such as "12.0"."""
         return f"{round(value * self.factor, self.digits) + 0.0:.{self.digits}f}".replace("-", "−")  # no "−0.0"
 
     def words(self, value: float) -> str:
-        """Return "12.0 cm"."""
+        """Return a value of the parameter with the unit, such as "12.0 cm"."""
         return f"{self.number(value)}{self._unit}"
 
     def change(self, value: float) -> str:
-        """Return "+6.3 cm" or "−0.4 cm", and "±0.0 cm" where nothing is to be seen of it."""
+        """Return a change of the parameter, such as "+6.3 cm" or "−0.4 cm", and "±0.0 cm" where nothing is to be seen
+        of it."""
         number = self.number(abs(value))
         sign = "±" if float(number) == 0 else "+" if value > 0 else "−"
         return f"{sign}{number}{self._unit}"
@@ -49,13 +51,13 @@ class Entry:
     """One design parameter."""
 
     index: int
-    """Where it stands in phi."""
+    """Place of the parameter in phi."""
     part: str
-    """The part of the robot, such as "finger 1"; the parameter's name where none goes with it."""
+    """Part of the robot, such as "finger 1"; the parameter's name where no part goes with it."""
     colour: str
-    """The colour of that part in the scene, as in CSS."""
+    """Colour of the part in the scene, as in CSS."""
     scale: float
-    """A typical change of the parameter."""
+    """Typical change of the parameter, in the parameter's own unit."""
 
 
 @dataclass(frozen=True)

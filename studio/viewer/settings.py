@@ -12,7 +12,7 @@ from morph_core.task import Task
 from studio.fields import Field, chosen_fields, told
 
 _PARTS = ("exploration", "search")
-"""What is chosen by name in sight; other choices of a plug-in's method are among the settings that are folded away."""
+"""Fields of a method that are chosen by name in sight; other choices of a plug-in's method are folded away."""
 
 
 class SettingsForm:

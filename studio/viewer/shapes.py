@@ -23,5 +23,5 @@ def capsule_half_length(bucket: int) -> float:
 
 
 def capsule(bucket: int) -> Shape:
-    """Radius of one, along z; its length is the bucket's."""
+    """Return a capsule along z with a radius of one; its length is the bucket's."""
     return shapes.capsule(capsule_half_length(bucket))

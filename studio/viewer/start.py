@@ -28,13 +28,13 @@ class StartRequest:
     settings: dict[str, object]
     """Settings of the method that differ from the defaults, under dotted names."""
     task_options: dict[str, object]
-    """Fields of the task's dataclass."""
+    """Fields of the task's dataclass that differ from its defaults."""
     parameters: list[Parameter] | None = None
     """The design space, where it does not start from the task's initial design."""
 
 
 class StartPanel:
-    """The form; `on_start` takes a checked request."""
+    """Form for a new run; `on_start` is called with a checked request and the client who sent it."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class StartPanel:
         on_start: Callable[[StartRequest, viser.ClientHandle | None], None],
         on_preview: Callable[[], None],
     ) -> None:
-        """`on_preview` is called when another task, task option or design to start from is chosen."""
+        """Make the form; `on_preview` is called when another task, task option or design to start from is chosen."""
         self._on_start = on_start
         self._on_preview = on_preview
         self._design: Design | None = None
@@ -129,6 +129,7 @@ class StartPanel:
         )
 
     def submit(self, client: viser.ClientHandle | None) -> None:
+        """Hand on what the form says, or show why it is not allowed."""
         try:
             request = self.request()
         except ValueError as error:

@@ -16,25 +16,25 @@ from studio.robots.parts import dress, stl_files
 from studio.viewer.figure import Figure, smooth
 
 Corners = tuple[np.ndarray, np.ndarray]
-"""The lowest (3,) and the highest one (3,) of a box, m."""
+"""Lowest (3,) and highest corner (3,) of a box, in m."""
 
 FRAMES_PER_SECOND = 30
 GOAL_LIT = (20, 200, 90)
 WALL_LIT = (235, 90, 50)
 LIT_BY = {"button": ("pressed", (255, 214, 40))}
-"""A geom's name -> the milestone that lights it up, and its colour then."""
+"""Milestone that lights up a geom, and its colour then, by the geom's name."""
 _FIXED = ("goal", "wall", "table")
-"""How the names of what never moves begin."""
+"""Words with which the names of what never moves begin."""
 _LINGER = 0.3
 """Seconds for which a contact stays lit."""
 _TABLE_MARGIN = 0.15
-"""How much of a table is in sight beside what stands on it, as a share of what stands on it."""
+"""Width of the table in sight beside what stands on it, as a share of what stands on it."""
 _GHOST_THICKNESS, _TRAIL_THICKNESS, _POPULATION_THICKNESS = 0.85, 0.42, 0.2
 
 
 @dataclass(frozen=True)
 class Shot:
-    """What is to be seen; two equal ones need no second build."""
+    """Description of what is to be seen; two equal ones need no second build."""
 
     task: str
     task_options: tuple[tuple[str, object], ...]
@@ -66,25 +66,26 @@ class Take:
     trail: Figure | None
     population: Figure | None
     goal_touched: np.ndarray
-    """(F,) bool: the frames in which the goal is touched."""
+    """Frames in which the goal is touched, (F,) bool."""
     milestones: dict[str, np.ndarray]
-    """name -> (F,) bool: the frames in which the goal is touched."""
+    """Frames in which each milestone is reached, by its name: (F,) bool each."""
     contact: np.ndarray
-    """(F, C, 3) m: where something is touched, NaN for nothing."""
+    """Points (F, C, 3) in m where something is touched; NaN for nothing."""
     touched: np.ndarray
-    """(F, n) bool: the parts of the scenery that are touched."""
+    """Parts of the scenery that are touched, (F, n) bool."""
     box: Corners
-    """What the camera should frame."""
+    """Box that the camera should frame."""
     floor: Corners
     """The level rectangle on which lengths are written."""
 
     @property
     def frames(self) -> int:
+        """Number of frames, F."""
         return self.robot.instants
 
     @property
     def duration(self) -> float:
-        """Seconds."""
+        """Length of the episode in seconds of the task's time; 0 without an episode."""
         return (self.frames - 1) / FRAMES_PER_SECOND
 
     def scenery_colours(self, frame: int) -> np.ndarray:
