@@ -244,10 +244,6 @@ class Parent(msgspec.Struct, frozen=True):
     iteration: int
 
 
-FORMAT = 2
-"""The format of run.json that this version writes; it reads older ones, too."""
-
-
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Content of run.json, which is written once: everything that is needed to run it again."""
 
