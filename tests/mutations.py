@@ -275,7 +275,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("state.phi + self.step", "state.phi - self.step"),
         ("state.phi = nearest_buildable(task, state.phi, target)", "state.phi = target"),
         ("state.design_space.clip(state.phi + self.step * step)", "(state.phi + self.step * step)"),
-        ("(designs[rollout.kept] - state.phi)", "designs[rollout.kept]"),
+        ("designs[rollout.kept]", "designs[: rollout.kept.sum()]"),
         ("self.freeze_success, design_sigma", "0.0, design_sigma"),
     ),
     *_of(
@@ -290,6 +290,9 @@ MUTANTS: tuple[Mutant, ...] = (
         ("self.diverged += rollout.diverged", "self.diverged = rollout.diverged"),
         ("self.env_steps += rollout.steps", "self.env_steps = rollout.steps"),
         ("| dict(self.memory.learners)", ""),
+    ),
+    *_of(
+        f"{CORE}/state.py", "core/test_ppo.py",
         ("set_learning_rate(iteration - self.control_start)", "set_learning_rate(iteration)"),
     ),
     *_of(
@@ -380,8 +383,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ('"diverged": diverged', '"diverged": diverged & False'),
     ),
     *_of(
-        f"{CORE}/envs/episodes.py",
-        "core/test_envs.py::test_the_vector_environment_is_sync_vector_env_over_episodes_that_restart[reacher]",
+        f"{CORE}/envs/episodes.py", "core/test_restarts.py",
         ("self._steps[chosen], self._begun[chosen], self._ended[chosen] = 0, True, False",
          "self._begun[chosen], self._ended[chosen] = True, False"),
     ),
