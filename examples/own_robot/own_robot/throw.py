@@ -9,7 +9,7 @@ import numpy as np
 from morph_core.config import NotNegative, Positive, Settings
 from morph_core.design import DesignSpace
 from morph_core.methods.proxy import Morph
-from morph_core.parts import Schedule
+from morph_core.parts import Ppo, Schedule
 from morph_core.protocol import Parameter
 from morph_core.task import Hardware, Task, Transition
 from morph_core.tasks import palette
@@ -84,7 +84,8 @@ class Throw(Settings, Task):
 
     @property
     def tuned(self) -> tuple[Settings, ...]:
-        return (Morph(schedule=Schedule(iterations=60)),)
+        ppo = Ppo(learning_rate=3e-3, minibatches=4)
+        return (Morph(trajectories=64, schedule=Schedule(iterations=60), ppo=ppo),)
 
     @property
     def design_space(self) -> DesignSpace:
@@ -167,11 +168,9 @@ class Throw(Settings, Task):
         ball = spec.worldbody.add_body(name="ball")
         for axis in ([1, 0, 0], [0, 0, 1]):
             ball.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-        ball.add_geom(
-            name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BALL_RADIUS, 0, 0], rgba=palette.BUTTON
-        )
+        ball.add_geom(name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BALL_RADIUS, 0, 0], rgba=palette.BUTTON)
         spec.worldbody.add_geom(
-            name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 1, 0.1], pos=[0, 0, 0], rgba=palette.TABLE
+            name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.5, 0.6, 0.1], pos=[1.4, 0, 0], rgba=palette.TABLE
         )
         x, height = self.goal
         spec.worldbody.add_geom(
