@@ -79,7 +79,9 @@ def _settings(settings: Settings, task: Task, prefix: str, only_with: str | None
 
 def _field(instance: object, name: str, path: str) -> Field:
     bare, meta = range_of(kinds_of(type(instance))[name])
-    default, choices = getattr(instance, name), list(typing.get_args(bare)) or None
+    default, choices = getattr(instance, name), None
+    if typing.get_origin(bare) is typing.Literal:
+        choices = list(typing.get_args(bare))
     kind = type(default).__name__ if choices else getattr(bare, "__name__", "object")
     lo, hi = limits(meta)
     return Field(

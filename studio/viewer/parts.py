@@ -16,6 +16,9 @@ from morph_core.protocol import Parameter
 COLOURS = ("#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5aa9e6", "#d0342c", "#7a828e")
 """Colours that are told apart on white and on black, the first ones also by most colour-blind people."""
 
+_MEASURED = {"m": "length", "rad": "angle"}
+"""A unit -> what is measured in it."""
+
 
 @dataclass(frozen=True)
 class Unit:
@@ -94,8 +97,15 @@ def quantities_of(history: History) -> list[Quantity]:
     for i, p in enumerate(history.design_space.parameters):
         part, colour = known.get(p.name, (p.part, COLOURS[i % len(COLOURS)]))
         words = (part or p.name).replace("_", " ")
-        found.setdefault((split_name(p.name)[0], unit_of(p)), []).append(Entry(i, words, colour, p.scale))
+        found.setdefault((_quantity(p, part), unit_of(p)), []).append(Entry(i, words, colour, p.scale))
     return [Quantity(name, unit, tuple(entries)) for (name, unit), entries in found.items()]
+
+
+def _quantity(p: Parameter, part: str) -> str:
+    """Return what a parameter measures: "length" of "length_2"; where it has the name of its part, what is
+    measured in its unit."""
+    name, number = split_name(p.name)
+    return _MEASURED.get(p.unit, p.unit) if p.name == part and not number else name
 
 
 def split_name(name: str) -> tuple[str, str]:

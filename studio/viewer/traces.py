@@ -96,7 +96,8 @@ def _phi_trace(quantity: Quantity, single: bool) -> Trace:
     """Return the chart of one quantity of phi, in the colours that the parts have in the scene."""
     parts = [entry.part.rpartition(" ") for entry in quantity.entries]
     (kind, *others), numbers = {kind for kind, _, _ in parts}, tuple(_plain(number) for _, _, number in parts)
-    short = not single and not others and kind != ""  # several charts share the column: one line of legend each
+    numbered = kind != "" and not others and all(number.isdigit() for number in numbers)
+    short = numbered and not single  # several charts share the column: one line of legend each
     title = f"Design φ: {_plain(quantity.name)}" + (f" by {_plain(kind)}" if short else "")
     return Trace(
         title="Design φ" if single else title,

@@ -3,6 +3,7 @@
 import json
 import os
 import platform
+import re
 import signal
 import subprocess
 import sys
@@ -129,6 +130,11 @@ def test_the_settings_of_run_and_task_are_flags_with_their_explanation() -> None
     for flag in ("--alpha", "--projection", "--design-interval", "--tunnel", "--z", "--seed", "--resume"):
         assert flag in shown
     assert "weight of the divergence" in shown
+
+
+def test_the_help_of_train_lists_the_tasks() -> None:
+    shown = " ".join(re.sub("[│]", "", morph_studio("train", "--help").stdout).split())
+    assert "Choose from: reacher, pen_press, mouse_click" in shown
 
 
 def test_the_command_line_does_not_load_torch() -> None:

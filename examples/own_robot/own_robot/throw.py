@@ -1,0 +1,183 @@
+"""Task `own_throw`: an arm of two links throws a ball at a disc that its initial design can't reach."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from morph_core.config import NotNegative, Positive, Settings
+from morph_core.design import DesignSpace
+from morph_core.methods.proxy import Morph
+from morph_core.parts import Ppo, Schedule
+from morph_core.protocol import Parameter
+from morph_core.task import Hardware, Task, Transition
+from morph_core.tasks import palette
+
+DT = 1 / 30  # s
+GRAVITY = 9.81  # m/s^2
+SHOULDER = np.array([0.0, 1.2])  # m: x and height
+START = np.array([3.6, 0.6])  # rad: the ball is held up behind
+BALL_RADIUS, LINK_RADIUS = 0.07, 0.045  # m
+
+
+def swing(s: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Return what a metre of each link adds to z (N, 4, 2), once the joint speeds have changed by `a`."""
+    speed = s[:, 4:6] + a
+    heading, turning = np.cumsum(s[:, :2] + DT * speed, 1), np.cumsum(speed, 1)
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.stack([cos, sin, -turning * sin, turning * cos], 1)
+
+
+class Kinematics:
+    """Hw-Phy: z = position and velocity of the hand, seen from the shoulder; linear in phi, and so differentiable."""
+
+    def __init__(self, phi: np.ndarray) -> None:
+        self.phi = phi  # (2,) or (N, 2) m
+
+    def __call__(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return (swing(s, a) * self.phi[..., None, :]).sum(-1)
+
+    def jacobian(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return swing(s, a)
+
+
+@dataclass(frozen=True)
+class Throw(Settings, Task):
+    """An arm of two links in a vertical plane, and a ball in its hand.
+
+    s = joint angles, ball, joint speeds, the ball's velocity, seconds, and how near to the goal the ball has come.
+
+    Task: throw the ball at the disc. An action changes the speeds of both joints; the hand opens after `hold` seconds,
+    from then on the joints brake and the ball flies.
+    Randomised: the joint angles at the start, by `start_noise`.
+    Success: the ball touches the disc; that ends the episode, as touching the ground does.
+    """
+
+    goal: tuple[float, float] = (3.0, 1.4)
+    """m: where the middle of the disc is, x and height."""
+    goal_radius: Positive = 0.25
+    """m: as near must the middle of the ball come to that of the disc."""
+    hold: Positive = 0.5
+    """s: how long the hand stays closed."""
+    acceleration: Positive = 30.0
+    """rad/s^2: the most that a joint can do."""
+    top_speed: Positive = 5.0
+    """rad/s: the largest speed of a joint."""
+    start_noise: NotNegative = 0.03
+    """rad: standard deviation of each joint angle at the start."""
+    hit_bonus: NotNegative = 2.0
+    """Reward for touching the disc."""
+    approach_weight: NotNegative = 1.0
+    """Reward per metre by which the ball has come nearer to the disc than it has ever been."""
+
+    name: ClassVar[str] = "own_throw"
+    title: ClassVar[str] = "2-link arm throws a ball at a disc"
+    success_rule: ClassVar[str] = "the ball touches the disc; that ends the episode."
+    horizon: ClassVar[int] = 50
+    control_dt: ClassVar[float] = DT
+    state_size: ClassVar[int] = 10
+    observation_size: ClassVar[int] = 5
+    action_size: ClassVar[int] = 2
+    z_size: ClassVar[int] = 4
+    proxy_input_size: ClassVar[int] = 8
+
+    @property
+    def tuned(self) -> tuple[Settings, ...]:
+        ppo = Ppo(learning_rate=3e-3, minibatches=4)
+        return (Morph(trajectories=64, schedule=Schedule(iterations=60), ppo=ppo),)
+
+    @property
+    def design_space(self) -> DesignSpace:
+        return DesignSpace(
+            tuple(
+                Parameter(name, "m", lo=0.15, hi=0.55, initial=0.3, hard_lo=0.15, hard_hi=0.55, scale=0.05, part=name)
+                for name in ("upper_arm", "forearm")
+            )
+        )
+
+    def hw_phy(self, phi: np.ndarray) -> Kinematics:
+        return Kinematics(phi)
+
+    def hw_phy_from(self, scene: mujoco.MjSpec, phi: np.ndarray) -> Kinematics:
+        model = scene.compile()
+        return Kinematics(np.array([model.body("forearm").pos[0], model.site("hand").pos[0]]))
+
+    def reset(self, hw_phy: Hardware, environments: int, rng: np.random.Generator) -> np.ndarray:
+        s = np.zeros((environments, self.state_size))
+        s[:, :2] = START + self.start_noise * rng.standard_normal((environments, 2))
+        s[:, 2:4] = SHOULDER + hw_phy(s, np.zeros((environments, 2)))[:, :2]
+        s[:, 9] = np.linalg.norm(s[:, 2:4] - self.goal, axis=1)
+        return s
+
+    def observe(self, s: np.ndarray) -> np.ndarray:
+        return np.concatenate([s[:, :2] / 3, s[:, 4:6] / self.top_speed, s[:, 8:9]], 1, dtype=np.float32)
+
+    def proxy_input(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return swing(s, a).reshape(len(s), -1).astype(np.float32)
+
+    def sample_pairs(self, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        s = np.zeros((count, self.state_size))
+        s[:, :2], s[:, 4:6] = rng.uniform(-4, 4, (count, 2)), self.top_speed * rng.uniform(-1, 1, (count, 2))
+        return s, self.acceleration * DT * rng.uniform(-1, 1, (count, 2))
+
+    def step(self, hardware: Hardware, s: np.ndarray, action: np.ndarray) -> Transition:
+        flies = s[:, 8:9] >= self.hold - DT / 2
+        wish = np.where(flies, -0.2 * s[:, 4:6], self.acceleration * DT * np.clip(action, -1, 1))
+        speed = np.clip(s[:, 4:6] + wish, -self.top_speed, self.top_speed)
+        a = speed - s[:, 4:6]
+        z = hardware(s, a)
+        velocity = np.where(flies, s[:, 6:8] - [0, GRAVITY * DT], z[:, 2:])
+        ball = np.where(flies, s[:, 2:4] + DT * (s[:, 6:8] + velocity) / 2, SHOULDER + z[:, :2])
+        away = np.linalg.norm(ball - self.goal, axis=1)
+        nearest, hit = np.minimum(s[:, 9], away), away < self.goal_radius
+        terms = {"approach": self.approach_weight * (s[:, 9] - nearest), "hit": self.hit_bonus * hit}
+        return Transition(
+            s=np.column_stack([s[:, :2] + DT * speed, ball, speed, velocity, s[:, 8] + DT, nearest]),
+            a=a,
+            z=z,
+            reward=terms["approach"] + terms["hit"],
+            reward_terms=terms,
+            terminated=hit | (ball[:, 1] < BALL_RADIUS),
+            diverged=np.zeros_like(hit),
+            success=hit,
+            contact=np.empty((len(s), 0, 3)),
+        )
+
+    def spec(self, phi: np.ndarray) -> mujoco.MjSpec:
+        spec = mujoco.MjSpec()
+        height = SHOULDER[1]
+        spec.worldbody.add_geom(
+            name="post", type=mujoco.mjtGeom.mjGEOM_CYLINDER, fromto=[0, 0, 0, 0, 0, height], size=[0.06, 0, 0],
+            rgba=palette.BASE,
+        )  # fmt: skip
+        body, place = spec.worldbody, [0, 0, height]
+        for name, length, colour in zip(("upper_arm", "forearm"), phi, palette.PARTS, strict=False):
+            body = body.add_body(name=name, pos=place)
+            body.add_joint(name=f"{name}_joint", axis=[0, -1, 0])
+            body.add_geom(
+                name=name, type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, length, 0, 0],
+                size=[LINK_RADIUS, 0, 0], rgba=colour,
+            )  # fmt: skip
+            place = [length, 0, 0]
+        body.add_site(name="hand", pos=place)
+        return spec
+
+    def scene(self, phi: np.ndarray) -> mujoco.MjSpec:
+        spec = self.spec(phi)
+        ball = spec.worldbody.add_body(name="ball")
+        for axis in ([1, 0, 0], [0, 0, 1]):
+            ball.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        ball.add_geom(name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BALL_RADIUS, 0, 0], rgba=palette.BUTTON)
+        spec.worldbody.add_geom(
+            name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.5, 0.6, 0.1], pos=[1.4, 0, 0], rgba=palette.TABLE
+        )
+        x, height = self.goal
+        spec.worldbody.add_geom(
+            name="goal", type=mujoco.mjtGeom.mjGEOM_CYLINDER, fromto=[x, 0, height, x + 0.03, 0, height],
+            size=[self.goal_radius, 0, 0], rgba=palette.GOAL,
+        )  # fmt: skip
+        return spec
+
+    def qpos(self, s: np.ndarray) -> np.ndarray:
+        return s[:, :4]
