@@ -141,7 +141,7 @@ def test_contributing_names_the_groups_of_checks() -> None:
 def test_an_unknown_group_of_checks_lists_the_choices() -> None:
     ended = subprocess.run([ROOT / ".ci" / "run", "lnt"], capture_output=True, text=True, timeout=60)
     assert ended.returncode == 2
-    assert ended.stderr == 'unknown group "lnt"; choose from: lint, types, docs, fast, slow, browser\n'
+    assert ended.stderr == 'unknown group "lnt"; choose from: lint, types, docs, fast, slow, browser, mutants\n'
 
 
 @pytest.mark.parametrize("path", re.findall(r"!\[[^\]]+\]\(([^)]+)\)", README))
