@@ -17,7 +17,7 @@ from morph_core.tasks import palette
 DT = 1 / 30  # s
 GRAVITY = 9.81  # m/s^2
 SHOULDER = np.array([0.0, 1.2])  # m: x and height
-START = np.array([3.6, 0.6])  # rad: the ball is held up behind
+START = np.array([3.6, 0.6])  # rad: the ball is held behind
 BALL_RADIUS, LINK_RADIUS = 0.07, 0.045  # m
 
 
@@ -52,6 +52,10 @@ class Throw(Settings, Task):
     from then on the joints brake and the ball flies.
     Randomised: the joint angles at the start, by `start_noise`.
     Success: the ball touches the disc; that ends the episode, as touching the ground does.
+
+    No throw of the initial design reaches the disc. In 60 iterations of `morph` with what is in `tuned`, chosen on seeds
+    0 to 2, seeds 10 to 14 hit in all of 256 episodes with the deterministic policy, and in 88 to 96 % of them with the
+    sampled one, with links of 51 to 55 cm; each took less than 15 s on one core.
     """
 
     goal: tuple[float, float] = (3.0, 1.4)
@@ -146,11 +150,15 @@ class Throw(Settings, Task):
 
     def spec(self, phi: np.ndarray) -> mujoco.MjSpec:
         spec = mujoco.MjSpec()
-        height = SHOULDER[1]
-        spec.worldbody.add_geom(
-            name="post", type=mujoco.mjtGeom.mjGEOM_CYLINDER, fromto=[0, 0, 0, 0, 0, height], size=[0.06, 0, 0],
-            rgba=palette.BASE,
-        )  # fmt: skip
+        height, beside = SHOULDER[1], 0.12  # m: the post stands beside the plane of the arm
+        for name, start, end in (
+            ("post", [0, beside, 0], [0, beside, height]),
+            ("shoulder", [0, beside, height], [0, 0, height]),
+        ):
+            spec.worldbody.add_geom(
+                name=name, type=mujoco.mjtGeom.mjGEOM_CYLINDER, fromto=[*start, *end], size=[LINK_RADIUS, 0, 0],
+                rgba=palette.BASE,
+            )  # fmt: skip
         body, place = spec.worldbody, [0, 0, height]
         for name, length, colour in zip(("upper_arm", "forearm"), phi, palette.PARTS, strict=False):
             body = body.add_body(name=name, pos=place)
@@ -170,7 +178,7 @@ class Throw(Settings, Task):
             ball.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         ball.add_geom(name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BALL_RADIUS, 0, 0], rgba=palette.BUTTON)
         spec.worldbody.add_geom(
-            name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.5, 0.6, 0.1], pos=[1.4, 0, 0], rgba=palette.TABLE
+            name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.5, 0.5, 0.1], pos=[1.5, 0, 0], rgba=palette.TABLE
         )
         x, height = self.goal
         spec.worldbody.add_geom(
