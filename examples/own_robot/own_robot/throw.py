@@ -80,9 +80,9 @@ class Throw(Settings, Task):
     Randomised: the joint angles at the start, by `start_noise`.
     Success: the ball touches the disc; that ends the episode, as touching the ground does.
 
-    No throw of the initial design reaches the disc. What is in `tuned` was chosen on seeds 0 to 2. With it, 60 iterations
-    of `morph` on seeds 10 to 14 led to links of 51 to 55 cm, which hit in all of 256 episodes with the deterministic
-    policy, and in 88 to 96 % of them with the sampled one; each run took less than 15 s on one core.
+    No throw of the initial design reaches the disc. What is in `tuned` was chosen on seeds 0 to 2. With it, 60
+    iterations of `morph` on seeds 10 to 14 led to links of 51 to 55 cm, which hit in all of 256 episodes with the
+    deterministic policy, and in 88 to 96 % of them with the sampled one; each run took less than 15 s on one core.
     """
 
     goal: tuple[float, float] = (3.0, 1.4)
