@@ -78,7 +78,7 @@ class Throw(Settings, Task):
     Task: throw the ball at the disc. An action changes the speeds of both joints; the hand opens after `hold` seconds,
     from then on the joints brake and the ball flies.
     Randomised: the joint angles at the start, by `start_noise`.
-    Success: the ball touches the disc; that ends the episode, as touching the ground does.
+    Success: the ball touches the disc; that ends the episode. Touching the ground ends it, too.
 
     No throw of the initial design reaches the disc. What is in `tuned` was chosen on seeds 0 to 2. With it, 60
     iterations of `morph` on seeds 10 to 14 led to links of 51 to 55 cm, which hit in all of 256 episodes with the
