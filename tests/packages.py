@@ -30,4 +30,13 @@ def write_package(site: Path, package: str, points: str, source: str) -> None:
 
 def beside(*sites: Path) -> dict[str, str]:
     """Return the environment of a process that sees what is installed in `sites`."""
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, *sites)))}
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (*sites, ROOT)))}
+
+
+def python(program: str, *sites: Path) -> str:
+    """Return what a process prints that sees what is installed in `sites`."""
+    ended = subprocess.run(
+        [sys.executable, "-c", program], env=beside(*sites), capture_output=True, text=True, timeout=100
+    )
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.packages import OWN_ROBOT, ROOT, beside, install, write_package
+from tests.packages import OWN_ROBOT, ROOT, beside, install, python, write_package
 
 MORPH_STUDIO = Path(sysconfig.get_path("scripts")) / "morph-studio"
 TINY = ("--trajectories", "8", "--ppo.minibatches", "1", "--ppo.epochs", "1", "--evaluation.episodes", "4")
@@ -84,15 +84,6 @@ def morph_studio(site: Path, tmp_path: Path) -> Run:
         return subprocess.run(command, env=env, capture_output=True, text=True, timeout=250)
 
     return run
-
-
-def python(program: str, *sites: Path) -> str:
-    """Return what a process prints that sees what is installed in `sites`."""
-    ended = subprocess.run(
-        [sys.executable, "-c", program], env=beside(*sites), capture_output=True, text=True, timeout=100
-    )
-    assert ended.returncode == 0, ended.stderr
-    return ended.stdout
 
 
 def plain(help_text: str) -> str:
