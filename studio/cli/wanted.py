@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from morph_core.catalogue import METHODS, TASKS, broken_plugins, make_method, make_task
+from morph_core.catalogue import METHODS, TASKS, broken_plugins, configured, make_method, make_task
 from morph_core.config import paths_of
 from morph_core.method import Method
 from morph_core.task import Task
@@ -150,7 +150,7 @@ def _check_settings(known: Sequence[str], words: Sequence[str], task: Task, meth
         if flag.startswith("--") and flag not in known:
             path = flag.removeprefix("--").replace("-", "_")
             try:
-                make_method(method.name, task, {path: 0})
+                configured(method, {path: 0}, task.tuned)
             except ValueError as error:
                 if not str(error).startswith("unknown setting"):
                     raise UsageError(f"train: {error}") from error

@@ -151,6 +151,10 @@ def test_the_command_line_does_not_load_torch() -> None:
         ("brew", "choose from: serve, train, runs, evaluate, export, verify, import"),
         ("train", "choose from: reacher, pen_press, mouse_click"),
         ("train reech", 'unknown task "reech"; choose from: reacher, pen_press, mouse_click'),
+        (
+            "train reacher --search drift --search.sigma0 1",
+            '"search.sigma0" does nothing with search drift, only with cma',
+        ),
         ("train reacher extra", "too many words: extra"),
         ("train reacher --alhpa 1", "did you mean --alpha?"),
         ("train reacher --alhpa 1", "choose from: --runs --iterations --resume"),

@@ -1,0 +1,88 @@
+"""The recipes of CONTRIBUTING: what they show is written into a package, and runs as a part of it."""
+
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.packages import ROOT, python, write_package
+
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
+FILES = dict(re.findall(r"^```python\n# robots/(\w+)\.py\n(.*?)^```$", CONTRIBUTING, re.DOTALL | re.MULTILINE))
+(POINTS,) = re.findall(r"^```toml\n(.*?)^```$", CONTRIBUTING, re.DOTALL | re.MULTILINE)
+RUN = """
+from itertools import islice
+from morph_core import make_method, make_task, start
+from morph_core.catalogue import broken_plugins
+
+assert not broken_plugins(), broken_plugins()
+small = {{"trajectories": 8, "hidden": 16, "ppo.epochs": 1, "ppo.minibatches": 1}}
+task = make_task({task!r})
+method = make_method({method!r}, task, small | {settings!r})
+state = start(task, method, seed=0)
+progress = list(islice(method.iterations(task, state), 2))
+print(method.rules(), "|", progress[-1].iteration, state.phi.tolist() != task.design_space.initial.tolist())
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which the package of the recipes is installed."""
+    site = tmp_path_factory.mktemp("recipes")
+    groups = tomllib.loads(POINTS)["project"]["entry-points"]
+    lines = [line for group, points in groups.items() for line in (f"[{group}]", *map(" = ".join, points.items()))]
+    write_package(site, "robots", "\n".join(lines), '"""The package of the recipes."""')
+    (site / "robots").mkdir()
+    shutil.move(site / "robots.py", site / "robots" / "__init__.py")
+    for name, source in FILES.items():
+        (site / "robots" / f"{name}.py").write_text(source)
+    return site
+
+
+def test_every_entry_point_of_the_recipes_has_its_file() -> None:
+    named = [place for points in tomllib.loads(POINTS)["project"]["entry-points"].values() for place in points.values()]
+    assert {place.split(":")[0] for place in named} == {f"robots.{name}" for name in FILES}
+    assert len(named) == 4
+
+
+@pytest.mark.parametrize(
+    ("task", "method", "settings", "rules"),
+    [
+        ("spoke", "morph", {}, "z explored by design, φ searched by cma, projection none"),
+        ("reacher", "morph", {"search": "compass", "search.step": 0.2}, "z explored by design, φ searched by compass"),
+        ("reacher", "morph", {"exploration": "signs"}, "z explored by signs, φ searched by cma"),
+        ("reacher", "best_of", {"designs.sigma": 2.0}, "φ is the design whose episode returned most"),
+        ("spoke", "best_of", {}, "φ is the design whose episode returned most"),
+        (
+            "spoke",
+            "morph",
+            {"exploration": "signs", "search": "compass", "search.step": 0.01},
+            "z explored by signs, φ searched by compass",
+        ),
+    ],
+)
+def test_what_a_recipe_shows_runs(site: Path, task: str, method: str, settings: dict[str, object], rules: str) -> None:
+    said, did = python(RUN.format(task=task, method=method, settings=settings), site).split(" | ")
+    assert said.startswith(rules)
+    assert did == "2 True\n"
+
+
+@pytest.mark.parametrize(
+    ("folder", "name", "settings"),
+    [("searches", "compass", {"search": "compass"}), ("explorations", "signs", {"exploration": "signs"})],
+)
+def test_in_this_repository_one_new_file_is_all_it_takes(
+    tmp_path: Path, folder: str, name: str, settings: dict[str, object]
+) -> None:
+    shutil.copytree(ROOT / "morph_core", tmp_path / "morph_core", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "morph_core" / folder / f"{name}.py").write_text(FILES[name])
+    said, did = python(RUN.format(task="reacher", method="morph", settings=settings), tmp_path).split(" | ")
+    assert name in said
+    assert did == "2 True\n"
+
+
+def test_the_lines_of_a_recipe_are_as_long_as_ours() -> None:
+    assert FILES
+    assert [line for source in FILES.values() for line in source.splitlines() if len(line) > 120] == []
