@@ -64,7 +64,11 @@ _.Gaussian
 _.Gradient
 _.MouseClick
 _.PenPress
+_.RandomWalk
 _.Reacher
+_.Scatter
+_.Throw
+_.Uniform
 
 # Python and torch ask for these.
 _.__getattr__
