@@ -71,6 +71,7 @@ _.Throw
 _.Uniform
 
 # Python and torch ask for these.
+_.__dir__
 _.__getattr__
 _.forward
 _.memo

@@ -33,3 +33,8 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     return getattr(import_module(_HOMES.get(name, "morph_core.catalogue")), name)
+
+
+def __dir__() -> list[str]:
+    """Name what `__getattr__` gives, too, so that help() and completion show it."""
+    return sorted({*globals(), *__all__})
