@@ -8,18 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from morph_core.catalogue import EXPLORATIONS, METHODS, SEARCHES, TASKS, make_method, make_task
-    from morph_core.episodes import evaluate
     from morph_core.history import History
     from morph_core.run_folder import RunFolder
     from morph_core.state import start
 
 __all__ = [
-    "EXPLORATIONS", "METHODS", "SEARCHES", "TASKS", "History", "RunFolder", "evaluate", "make_method", "make_task",
-    "start",
+    "EXPLORATIONS", "METHODS", "SEARCHES", "TASKS", "History", "RunFolder", "make_method", "make_task", "start",
 ]  # fmt: skip
 
 _HOMES = {
-    "evaluate": "morph_core.episodes",
     "History": "morph_core.history",
     "RunFolder": "morph_core.run_folder",
     "start": "morph_core.state",
