@@ -72,9 +72,3 @@ _.memo
 
 # A part of the task's contract, for those who write a task.
 _.DifferentiableHardware
-
-# Classes of examples/own_robot, which its entry points name.
-_.RandomWalk
-_.Scatter
-_.Throw
-_.Uniform
