@@ -12,6 +12,7 @@ import numpy as np
 from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import Parameter
+from studio.robots.chooser import robot_of
 
 COLOURS = ("#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5aa9e6", "#d0342c", "#7a828e")
 """Colours that are told apart on white and on black, the first ones also by most colour-blind people."""
@@ -84,6 +85,14 @@ def unit_of(p: Parameter) -> Unit:
 def shows_parts(parameters: Sequence[Parameter]) -> bool:
     """Tell whether printed parts are wide enough to be seen: on links of metres they are threads."""
     return all(p.hard_hi < 1 for p in parameters if p.unit == "m")
+
+
+def has_printed_parts(history: History) -> bool:
+    """Tell whether the robot of a run has parts that are drawn for a printer; a task of another version may have."""
+    try:
+        return robot_of(make_task(history.record.task, history.record.task_options)).printed
+    except (ValueError, TypeError):
+        return True
 
 
 def quantities_of(history: History) -> list[Quantity]:

@@ -7,7 +7,7 @@ import viser
 
 from morph_core.history import History
 from studio.viewer import wording
-from studio.viewer.parts import shows_parts
+from studio.viewer.parts import has_printed_parts, shows_parts
 from studio.viewer.player import SPEEDS, Player
 
 _TRAIL = 6
@@ -65,6 +65,7 @@ class TimelinePanel:
                 hint="The running run takes this φ as its design from the next iteration on",
             )  # fmt: skip
         layers = (self.printed, self.ghost, self.trail, self.population)
+        self._has_printed_parts = True
         self._choices = (self.follow, self.iteration, self.recorded, *layers)
         self.follow.on_update(lambda event: on_choice() if event.client else None)
         self.iteration.on_update(lambda event: self._pick(event.client) if event.client else None)
@@ -96,11 +97,12 @@ class TimelinePanel:
         if another:
             self.follow.value = True
             self.printed.value = shows_parts(history.record.parameters)
+            self._has_printed_parts = has_printed_parts(history)
         self._latest = history.iteration
         self._recorded = [e.iteration for e in history.evaluations if e.episode]
         self.iteration.max = max(self._latest, 1)
         for handle in self._choices:
-            handle.visible = True
+            handle.visible = handle is not self.printed or self._has_printed_parts
         if self.follow.value or self.iteration.value > self.iteration.max:
             self.iteration.value = min(self.shown_iteration, self.iteration.max)
         self.inject.visible = live and not self.follow.value

@@ -20,6 +20,7 @@ from studio.viewer.change import change_table
 from studio.viewer.parts import Unit, quantities_of, split_name, unit_of
 from studio.viewer.rules import rules_of
 from studio.viewer.traces import _traces_of
+from tests.foreign import Pointer
 
 HANDS = sorted(name for name in TASKS if name != "reacher")
 
@@ -43,6 +44,17 @@ def test_a_hand_shows_its_printed_parts_until_somebody_wants_its_collision_shape
     assert set(page.take(lambda take: "mesh" not in take.robot.kinds).robot.kinds) == {"capsule", "cylinder"}
     page.viewer.select(None)
     assert "mesh" not in page.take(lambda take: take.shot.task == "reacher").robot.kinds  # threads among metres
+
+
+def test_a_robot_without_printed_parts_offers_none_to_be_seen(
+    page: Page, folder: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(TASKS._loaded(), Pointer.name, Pointer)
+    page.show(folder)
+    assert page.viewer.timeline.printed.visible
+    page.show(make_hand_run(tmp_path / "others", Pointer.name, "a-pointer"))
+    assert not page.viewer.timeline.printed.visible
+    assert page.viewer.timeline.ghost.visible
 
 
 # --- parts and units ---
