@@ -6,12 +6,17 @@ import subprocess
 import sys
 import sysconfig
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from morph_core.methods.proxy import Morph
+from morph_core.spread import Spread
+from morph_core.state import start
 from tests.packages import OWN_ROBOT, ROOT, beside, install, python, write_package
 
 MORPH_STUDIO = Path(sysconfig.get_path("scripts")) / "morph-studio"
@@ -120,10 +125,9 @@ def test_the_help_of_a_run_has_the_settings_of_the_package_with_their_explanatio
         "--search.radius FLOAT Standard deviation of the designs around phi, in units of each parameter's scale.",
         "--exploration.kappa FLOAT",
         "--hold FLOAT s: how long the hand stays closed. Allowed: > 0. (default: 0.5)",
-        "--schedule.iterations INT Iterations over which learning rates and noises are annealed; constant afterwards. "
-        "Allowed: ≥ 1. (default: 60)",
     ):
         assert line in shown
+    assert re.search(r"--schedule\.iterations INT [^(]*\(default: 60\)", shown)
     assert "--step FLOAT Standard deviation of a step of phi" in plain(
         morph_studio("train", "own_throw", "--method", "random_walk", "--help").stdout
     )
@@ -282,6 +286,62 @@ def throw(site: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return own_robot.throw
 
 
+@pytest.fixture
+def strategies(throw: Any) -> tuple[Any, Any, Any]:
+    """The classes of the example's method, exploration and search."""
+    del throw  # it has made the package importable
+    from own_robot.random_walk import RandomWalk  # pyright: ignore[reportMissingImports]
+    from own_robot.scatter import Scatter  # pyright: ignore[reportMissingImports]
+    from own_robot.uniform import Uniform  # pyright: ignore[reportMissingImports]
+
+    return RandomWalk, Uniform, Scatter
+
+
+def test_phi_walks_to_the_neighbour_only_where_that_returned_more(
+    throw: Any, strategies: tuple[Any, Any, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kind, seen = strategies[0], []
+    module = sys.modules[kind.__module__]
+    run = module.run_trajectories
+    monkeypatch.setattr(module, "run_trajectories", lambda *arguments: seen.append(run(*arguments)) or seen[-1])
+    task, method = throw.Throw(), kind(trajectories=16, hidden=8)
+    state = start(task, method, 0)
+    moves = set()
+    before = state.phi
+    for _ in islice(method.iterations(task, state), 12):
+        first, second = state.explored[[0, -1]]
+        assert first.tolist() == before.tolist() != second.tolist()
+        better = seen[-1].returns[8:].mean() > seen[-1].returns[:8].mean()
+        assert state.phi.tolist() == (second if better else first).tolist()
+        moves.add(better)
+        before = state.phi
+    assert moves == {True, False}
+
+
+def test_uniform_designs_have_the_sigma_that_is_asked_for(throw: Any, strategies: tuple[Any, Any, Any]) -> None:
+    task, method = throw.Throw(), Morph(exploration=strategies[1]())
+    state = start(task, method, 0)
+    space = task.design_space
+    world = method.exploration.world(task, state, Spread(0.5, 0.0), 4000)
+    assert world.phi is state.explored
+    offsets = (state.explored - space.initial) / space.scale
+    np.testing.assert_allclose(offsets.std(0), 0.5, atol=0.02)
+    assert 0.86 < np.abs(offsets).max() <= 0.5 * np.sqrt(3)
+    np.testing.assert_allclose(offsets.mean(0), 0, atol=1e-12)  # antithetic pairs
+
+
+def test_scattered_designs_are_in_the_box_with_the_present_one_among_them(
+    throw: Any, strategies: tuple[Any, Any, Any]
+) -> None:
+    space = throw.Throw().design_space
+    problem: Any = SimpleNamespace(space=space, start=space.initial, seed=3)
+    found = strategies[2](tries=500, radius=2.0).candidates(problem)
+    assert found.shape == (501, 2)
+    assert found[0].tolist() == space.initial.tolist()
+    assert ((found >= space.lo) & (found <= space.hi)).all()
+    np.testing.assert_allclose(found[1:].std(0), 2 * space.scale, rtol=0.1)
+
+
 def nearest_throw(throw: Any, length: float) -> float:
     """Return how near (m) to the disc's middle a ball can come that an arm with two such links throws."""
     task = throw.Throw()
@@ -303,27 +363,20 @@ def test_only_a_longer_arm_can_reach_the_disc(throw: Any) -> None:
 
 
 def test_the_ball_flies_as_it_should_once_the_hand_has_opened(throw: Any) -> None:
-    task, rng = throw.Throw(start_noise=0.0), np.random.default_rng(0)
+    task = throw.Throw(start_noise=0.0)
     hw_phy = task.hw_phy(np.full(2, 0.5))
-    s = task.reset(hw_phy, 1, rng)
-    held = []
-    for _ in range(round(task.hold / throw.DT)):
-        s = task.step(hw_phy, s, np.array([[-1.0, -0.3]])).s
-        held.append(
-            np.abs(
-                s[0, 2:4]
-                - throw.SHOULDER
-                - hw_phy(s - throw.DT * np.pad(s[:, 4:6], ((0, 0), (0, 8))), np.zeros((1, 2)))[0, :2]
-            ).max()
-        )
-    assert max(held) < 1e-12
+    s = task.reset(hw_phy, 1, np.random.default_rng(0))
+    while s[0, 8] < task.hold - throw.DT / 2:
+        step = task.step(hw_phy, s, np.array([[-1.0, -0.3]]))
+        s = step.s
+        np.testing.assert_array_equal(s[0, [2, 3, 6, 7]], np.concatenate([throw.SHOULDER, [0, 0]]) + step.z[0])
     release = s
     for _ in range(6):
         s = task.step(hw_phy, s, np.ones((1, 2))).s
     t = 6 * throw.DT
     expected = release[0, 2:4] + t * release[0, 6:8] - [0, throw.GRAVITY * t**2 / 2]
     np.testing.assert_allclose(s[0, 2:4], expected, atol=1e-12)
-    assert np.abs(s[0, 4:6]).max() < np.abs(release[0, 4:6]).max() / 3
+    assert np.abs(s[0, 4:6]).max() < np.abs(release[0, 4:6]).max() / 3  # the joints brake
 
 
 def test_the_physics_are_differentiable_as_they_say(throw: Any) -> None:

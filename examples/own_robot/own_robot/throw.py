@@ -66,6 +66,7 @@ class Kinematics:
         return (swing(s, a) * self.phi[..., None, :]).sum(-1)
 
     def jacobian(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return dz/dphi (N, 4, 2)."""
         return swing(s, a)
 
 
@@ -88,7 +89,7 @@ class Throw(Settings, Task):
     goal: tuple[float, float] = (3.0, 1.4)
     """m: where the middle of the disc is, x and height."""
     goal_radius: Positive = 0.25
-    """m: as near must the middle of the ball come to that of the disc."""
+    """m: the largest distance between the middles of ball and disc that is a hit."""
     hold: Positive = 0.5
     """s: how long the hand stays closed."""
     acceleration: Positive = 30.0
