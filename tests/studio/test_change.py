@@ -80,15 +80,15 @@ def test_links_of_metres_stay_in_metres(tmp_path: Path) -> None:
 def test_lengths_that_are_named_as_their_parts_are_one_quantity(tmp_path: Path) -> None:
     history = History(make_run(tmp_path))
     history.record = msgspec.structs.replace(history.record, task="gone")
-    names = (("upper_arm", "m", "upper_arm"), ("forearm", "m", "forearm"), ("tilt", "rad", "forearm"))
+    names = (("upper_arm", "m", "upper_arm"), ("forearm", "m", "forearm"), ("tilt", "rad", "upper_arm"))
     parameters = tuple(Parameter(name, unit, 0, 0.5, 0.2, 0, 0.5, part=part) for name, unit, part in names)
     history.in_force = dataclasses.replace(history.in_force, space=DesignSpace(parameters))
     lengths, tilt = quantities_of(history)
     assert (lengths.name, [entry.part for entry in lengths.entries]) == ("length", ["upper arm", "forearm"])
-    assert (tilt.name, [entry.part for entry in tilt.entries]) == ("tilt", ["forearm"])
+    assert (tilt.name, [entry.part for entry in tilt.entries]) == ("tilt", ["upper arm"])
     charts = [trace for trace in _traces_of(history).values() if trace.title.startswith("Design φ")]
     titles = {trace.title: trace.labels for trace in charts}
-    assert titles == {"Design φ: length": ("upper arm", "forearm"), "Design φ: tilt": ("forearm",)}
+    assert titles == {"Design φ: length": ("upper arm", "forearm"), "Design φ: tilt": ("upper arm",)}
 
 
 def test_parameters_of_a_task_that_is_gone_keep_their_names(tmp_path: Path) -> None:
