@@ -70,7 +70,7 @@ def check_value(name: str, annotation: Any, value: object) -> object:
             raise ValueError(f'unknown {name} "{value}"; choose from: {", ".join(map(str, choices))}')
         return value
     if bare not in (int, float):
-        if isinstance(bare, type) and not isinstance(value, bare):
+        if isinstance(bare, type) and bare is not Any and not isinstance(value, bare):
             raise ValueError(f"{name} must be {_a(bare.__name__)}, not {value!r}")
         return value
     if isinstance(value, bool) or not isinstance(value, int if bare is int else int | float):

@@ -2,12 +2,15 @@
 
 import math
 import re
+from dataclasses import dataclass
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from morph_core.catalogue import configured
+from morph_core.config import Settings
 from morph_core.methods.proxy import Morph
 from morph_core.parts import Ppo
 from morph_core.searches.drift import Drift
@@ -57,3 +60,11 @@ def test_values_out_of_range_are_refused(method: Morph, field: str, value: objec
 def test_numbers_that_are_not_finite_are_refused(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(field)} must be finite"):
         configured(MORPH, {field: value})
+
+
+def test_a_field_that_may_hold_anything_is_not_checked() -> None:
+    @dataclass(frozen=True)
+    class Loose(Settings):
+        whatever: Any = None
+
+    assert Loose([1]).whatever == [1]

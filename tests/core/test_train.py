@@ -70,6 +70,19 @@ def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path:
     assert [e.seq for e in history.events] == list(range(1, len(history.events) + 1))
 
 
+def test_how_often_a_run_is_evaluated_does_not_change_what_is_learnt(tmp_path: Path) -> None:
+    often, seldom = (
+        train(
+            make_run(
+                tmp_path, f"every-{interval}", small_method("morph", {"evaluation.interval": interval}), iterations=3
+            )
+        )
+        for interval in (1, 3)
+    )
+    assert (len(often.evaluations), len(seldom.evaluations)) == (3, 1)
+    assert [p.phi for p in often.progress] == [p.phi for p in seldom.progress]
+
+
 def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
     folder.send(protocol.Pause())
