@@ -102,13 +102,13 @@ class Trials(Memory):
     seed: int = 0
     """Seed of the present CMA-ES."""
     start: list[float] = field(default_factory=list)
-    """phi where the present CMA-ES began."""
+    """Design phi where the present CMA-ES began."""
     box: list[list[float | None]] = field(default_factory=list)
     """Lower bound, upper bound and lock of each parameter in the present CMA-ES."""
     costs: list[float | None] = field(default_factory=list)
     """Costs of the present CMA-ES's candidates in the order in which it asked for them; None is infinite."""
     phi: list[float] = field(default_factory=list)
-    """phi of the candidate that is being tried; empty before the first."""
+    """Design phi of the candidate that is being tried; empty before the first."""
     asked: bool = False
     """Whether the present CMA-ES asked for the candidate that is being tried, and is to be told its cost."""
     iterations: int = 0
@@ -116,7 +116,7 @@ class Trials(Memory):
     best_return: float | None = None
     """Best mean return of the candidate that is being tried; None as long as every simulation has diverged."""
     best_phi: list[float] = field(default_factory=list)
-    """phi of the best candidate so far; empty before the first."""
+    """Design phi of the best candidate so far; empty before the first."""
     best_of_all: float | None = None
     """Best mean return of the best candidate so far."""
     refused: int = 0
