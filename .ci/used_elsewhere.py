@@ -60,6 +60,7 @@ _.render
 _.charts
 
 # Classes that the catalogue finds in their folder, by name.
+_.CmaesRl
 _.Gaussian
 _.Gradient
 _.MouseClick

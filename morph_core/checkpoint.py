@@ -35,6 +35,7 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
             "projection": state.projection,
             "fitted": state.fitted,
             "frozen": state.frozen,
+            "memory": state.memory.facts,
             "rng": state.rng.bit_generator.state,
             "cpu_seconds": cpu_seconds,
         }
@@ -63,6 +64,7 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Metho
         state.alpha, state.projection = facts["alpha"], facts["projection"]
         state.fitted, state.frozen = facts["fitted"], facts["frozen"]
         state.rng.bit_generator.state = facts["rng"]
+        state.memory.recall(facts.get("memory", {}))
         _restore(state, tensors)
         return state, facts["cpu_seconds"]
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, safetensors.SafetensorError) as error:

@@ -104,5 +104,9 @@ class Control:
         if first is None or first.any(0).mean() >= REACHED:
             state.last_reached = iteration
         if 0 < self._ppo.restart_interval <= iteration - state.last_reached:
-            self.start_afresh(torch.Generator().manual_seed(int(state.rng.integers(2**63))))
-            state.control_start = state.last_reached = iteration
+            self.begin_again(state, iteration)
+
+    def begin_again(self, state: "State", iteration: int) -> None:
+        """Start afresh with weights from the run's random numbers, and anneal from after `iteration` on."""
+        self.start_afresh(torch.Generator().manual_seed(int(state.rng.integers(2**63))))
+        state.control_start = state.last_reached = iteration

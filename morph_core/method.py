@@ -52,7 +52,7 @@ class Method(Settings, ABC):
         """Return alpha and the projection rule with which a run starts; users may change both while it runs."""
         return 0.0, "none"
 
-    def memory(self, proxy: "HwNN") -> Memory:
+    def memory(self, proxy: "HwNN | None") -> Memory:
         """Return what the method's search for phi keeps from one iteration to the next, as it is at the start."""
         return Memory()
 

@@ -29,12 +29,20 @@ class Dataset:
 
 
 class Memory:
-    """What a search keeps from one iteration to the next; a search that keeps nothing has this empty one."""
+    """What a search for phi keeps from one iteration to the next; one that keeps nothing has this empty one."""
 
     @property
     def learners(self) -> Mapping[str, "HwNN"]:
         """Return networks with their optimisers by name: a checkpoint holds them, learning rates are set for them."""
         return {}
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """Return whatever else is kept, as JSON has it: a checkpoint holds it."""
+        return {}
+
+    def recall(self, facts: dict[str, Any]) -> None:
+        """Take back the `facts` that a checkpoint held."""
 
     def proxy_was_fitted(self, hw_nn: "HwNN") -> None:
         """Take note that the proxy has just been fitted to Hw-Phy."""

@@ -117,6 +117,6 @@ def start(task: Task, method: Method, seed: int, design_space: DesignSpace | Non
     weights = torch.Generator().manual_seed(seed)
     control = Control(task, method.ppo, method.schedule, method.hidden, weights)
     proxy = HwNN(task, method.proxy_fit, method.hidden, weights) if method.proxy_fit else None
-    memory = method.memory(proxy) if proxy else Memory()
+    memory = method.memory(proxy)
     alpha, projection = method.steering
     return State(0, 0, space.initial, space, alpha, projection, control, proxy, memory, np.random.default_rng(seed))

@@ -54,8 +54,8 @@ class Morph(Method):
     def steering(self) -> tuple[float, Projection]:
         return self.alpha, self.projection
 
-    def memory(self, proxy: "HwNN") -> Memory:
-        return self.search.memory(proxy)
+    def memory(self, proxy: "HwNN | None") -> Memory:
+        return self.search.memory(proxy) if proxy else Memory()
 
     def check(self, task: Task) -> None:
         self.exploration.check(task)

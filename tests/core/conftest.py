@@ -11,6 +11,7 @@ import numpy as np
 from morph_core.catalogue import configured, make_task
 from morph_core.config import recorded
 from morph_core.method import Method
+from morph_core.methods.cmaes_rl import CmaesRl
 from morph_core.methods.direct import Direct
 from morph_core.methods.no_hw_opt import NoHwOpt
 from morph_core.methods.proxy import Morph
@@ -31,7 +32,10 @@ _NO_HW_OPT = NoHwOpt(
     evaluation=Evaluation(interval=2, episodes=4),
 )
 SMALL = Morph(**vars(_NO_HW_OPT), proxy=ProxyFit(prefit=20), search=Cma(pairs=32, generations=3))
-_SMALL: Mapping[str, Method] = {method.name: method for method in (SMALL, Direct(**vars(_NO_HW_OPT)), _NO_HW_OPT)}
+_SMALL: Mapping[str, Method] = {
+    method.name: method
+    for method in (SMALL, CmaesRl(**vars(_NO_HW_OPT), candidate_iterations=2), Direct(**vars(_NO_HW_OPT)), _NO_HW_OPT)
+}
 
 
 def small_method(name: str = "morph", settings: Mapping[str, object] | None = None) -> Method:

@@ -26,7 +26,7 @@ NOT_KEPT = {"explored": "shown to people with the next evaluation, and drawn ane
 def networks(hardware: Any) -> dict[str, Any]:
     """Return all numbers of what learns: a proxy, what a search keeps, or policy and critic."""
     if hasattr(hardware, "learners"):
-        return {name: networks(hw_nn) for name, hw_nn in hardware.learners.items()}
+        return {name: networks(hw_nn) for name, hw_nn in hardware.learners.items()} | {"facts": hardware.facts}
     modules = [getattr(hardware, name) for name in ("policy", "critic", "proxy") if hasattr(hardware, name)]
     weights = [{name: value.tolist() for name, value in module.state_dict().items()} for module in modules]
     moments = hardware.optimizer.state_dict()["state"]
