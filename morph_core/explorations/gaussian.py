@@ -23,7 +23,7 @@ SMALLEST_STD = 0.01
 FITTED_PAIRS = 2048
 """Pairs (s, a) of a rollout on which it is fitted what designs ask of the last layer."""
 START_PAIRS = 512
-"""The same before the first rollout, spread over the workspace."""
+"""Pairs for that fit before the first rollout, spread over the workspace."""
 RIDGE = 1e-4
 """Ridge of that fit, as a share of the features' mean square."""
 PLAIN = {"contact": "end", "divergence": "plain", "spread_pairs": 0, "credit": "step", "largest_log_ratio": 10.0}
