@@ -17,6 +17,9 @@ from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.state import State, start
 from morph_core.task import Task
 
+DIRECTIONS = "exploration/directions"
+"""Name of `State.directions` among the tensors."""
+
 
 def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None:
     """Write checkpoints/<iteration>/; an earlier one of the same iteration stays until the new one is whole."""
@@ -88,6 +91,8 @@ def _tensors(state: State) -> dict[str, Tensor]:
     for name, optimizer in state.optimizers.items():
         for index, moments in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}_optimizer/{index}/{key}": value.contiguous() for key, value in moments.items()}
+    if state.directions is not None:
+        tensors[DIRECTIONS] = torch.from_numpy(state.directions)
     return tensors
 
 
@@ -102,6 +107,7 @@ def _restore(state: State, tensors: dict[str, Tensor]) -> None:
                 _, index, moment = key.split("/")
                 moments.setdefault(int(index), {})[moment] = value
         optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
+    state.directions = tensors[DIRECTIONS].numpy() if DIRECTIONS in tensors else None
 
 
 def all_finite(state: State) -> bool:

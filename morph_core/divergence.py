@@ -21,9 +21,10 @@ def divergence(z: Z, target: Z) -> Z:
     return squared_distance(z, target).mean(-1)
 
 
-def divergence_gradient(z: Z, target: Z) -> Z:
-    """Return dD/dz (n, z_size) for z (n, z_size)."""
-    return 2 * (z - target) / len(z)
+def divergence_gradient(z: Z, target: Z, weight: Z | None = None) -> Z:
+    """Return dD/dz (n, z_size) for z (n, z_size), where each squared difference counts `weight` (n, z_size) times."""
+    gradient = 2 * (z - target) / len(z)
+    return gradient if weight is None else weight * gradient
 
 
 def limited(difference: np.ndarray, limit: float) -> np.ndarray:

@@ -39,6 +39,17 @@ class Relabelled:
 
 
 @dataclass(frozen=True)
+class Metric:
+    """How D is measured in one iteration: what each pair weighs, and at which further pairs."""
+
+    weight: np.ndarray | None = None  # (B, z_size)
+    """How often each squared difference of the sampled pairs counts; None counts each once."""
+    further: Relabelled | None = None
+    """Pairs that are not of the rollout, whose D is added to that of the sampled pairs."""
+    further_weight: np.ndarray | None = None  # (B', z_size)
+
+
+@dataclass(frozen=True)
 class Exploration(Settings, ABC):
     """How z is explored, so that the policy gradient can reach psi."""
 
@@ -67,6 +78,18 @@ class Exploration(Settings, ABC):
 
         `advantage` (B',) float32 holds the standardised advantages of all steps alive of the rollout.
         """
+
+    def metric(self, task: Task, state: "State", pairs: Relabelled, hw_phy: Hardware) -> Metric:
+        """Line 3: return how D is measured; by default as the mean squared distance at the sampled pairs."""
+        return Metric()
+
+    def success(self, task: Task, state: "State", rollout: Rollout, level: float) -> float:
+        """Return the success that freezes phi from `level` on; by default that of this iteration's trajectories."""
+        return rollout.success_rate
+
+    def prepare(self, task: Task, state: "State", spread: Spread, rollout: Rollout) -> None:
+        """Note at the end of an iteration in `state` what the next one's world needs of this rollout."""
+        return
 
 
 def run_trajectories(task: Task, state: "State", world: Hardware, trajectories: int) -> Rollout:

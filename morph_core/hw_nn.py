@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from morph_core.divergence import divergence, divergence_gradient
-from morph_core.exploration import Pull, Relabelled
+from morph_core.exploration import Metric, Pull, Relabelled
 from morph_core.gradients import cosine, flatten, project, write_gradient
 from morph_core.networks import Proxy, minibatches
 from morph_core.parts import Ppo, ProxyFit
@@ -58,6 +58,16 @@ class HwNN:
         """Return what the network sees of (s, a)."""
         return torch.from_numpy(self._task.proxy_input(s, a))
 
+    def last_features(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return what the last layer sees (N, k) float32, scaled so that `last_weights` times this is z."""
+        with torch.no_grad():
+            return self.proxy.last_features(self.features(s, a)).numpy()
+
+    @property
+    def last_weights(self) -> np.ndarray:
+        """Return the weights (z_size, k) float32 of the last layer, its bias included."""
+        return self.proxy.last_weights.detach().numpy()
+
     def set_learning_rate(self, factor: float) -> None:
         """Set Adam's learning rate to `factor` times the first one."""
         self.optimizer.param_groups[0]["lr"] = self._fit.learning_rate * factor
@@ -96,23 +106,35 @@ class HwNN:
         return steps
 
     def improve(
-        self, state: "State", pairs: Relabelled, pull: Pull, hw_phy: Hardware, ppo: Ppo, shown_pairs: int
+        self,
+        state: "State",
+        pairs: Relabelled,
+        pull: Pull,
+        metric: Metric,
+        hw_phy: Hardware,
+        ppo: Ppo,
+        shown_pairs: int,
     ) -> ProxyUpdate:
         """Line 3: minimise L_task + alpha D over psi; where both gradients conflict, g_task is projected.
 
         The sampled (s, a) are data, so that D does not depend on theta: cosine and projection are over psi alone.
-        `shown_pairs` of the pairs tell how the gradients agree along each design parameter.
+        `shown_pairs` of the pairs tell how the gradients agree along each design parameter. The divergence that is
+        told is the mean squared distance at the pairs, whatever the metric.
         """
         psi = list(self.proxy.parameters())
         features = self.features(pairs.s, pairs.a)
         target = torch.from_numpy(pairs.z_phi.astype(np.float32))  # (B, z_size)
+        weight = as_tensor(metric.weight)
         cosines, divergences = [], []
         for _ in range(ppo.epochs):
             for index in minibatches(len(features), ppo.minibatches, state.rng):
                 m = self.proxy(features[index])
                 z = m.detach()
                 dl_dm = torch.from_numpy(pull(z.numpy(), index.numpy()))
-                g_hw = flatten(torch.autograd.grad(m, psi, divergence_gradient(z, target[index]), retain_graph=True))
+                dd_dm = divergence_gradient(z, target[index], None if weight is None else weight[index])
+                g_hw = flatten(torch.autograd.grad(m, psi, dd_dm, retain_graph=True))
+                if metric.further is not None:
+                    g_hw = g_hw + self._further_gradient(metric.further, metric.further_weight, len(index), state.rng)
                 g_task = flatten(torch.autograd.grad(m, psi, dl_dm))
                 cosines.append(cosine(g_task, g_hw))
                 divergences.append(float(divergence(z, target[index])))
@@ -123,11 +145,28 @@ class HwNN:
         with torch.no_grad():
             m = self.proxy(features[shown])
         index = shown.numpy()  # to NumPy, a tensor of one number is a number
+        difference = m - target[shown] if weight is None else weight[shown] * (m - target[shown])
         shares = cosine_by_parameter(
-            hw_phy, pairs.s[index], pairs.a[index], g_task=pull(m.numpy(), index), g_hw=(m - target[shown]).numpy()
+            hw_phy, pairs.s[index], pairs.a[index], g_task=pull(m.numpy(), index), g_hw=difference.numpy()
         )
         negative = float(np.mean(np.array(cosines) < 0))
         return ProxyUpdate(float(np.mean(divergences)), float(np.mean(cosines)), negative, shares)
+
+    def _further_gradient(
+        self, pairs: Relabelled, weight: np.ndarray | None, count: int, rng: np.random.Generator
+    ) -> Tensor:
+        """Return the flat gradient of D over psi at `count` pairs drawn from `pairs`."""
+        index = rng.integers(len(pairs), size=count)
+        m = self.proxy(self.features(pairs.s[index], pairs.a[index]))
+        target = torch.from_numpy(pairs.z_phi[index].astype(np.float32))
+        counted = as_tensor(None if weight is None else weight[index])
+        dd_dm = divergence_gradient(m.detach(), target, counted)
+        return flatten(torch.autograd.grad(m, list(self.proxy.parameters()), dd_dm))
+
+
+def as_tensor(array: np.ndarray | None) -> Tensor | None:
+    """Return an array as float32 tensor; None stays None."""
+    return None if array is None else torch.from_numpy(array.astype(np.float32))
 
 
 def cosine_by_parameter(

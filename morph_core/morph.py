@@ -33,7 +33,8 @@ def morph(task: Task, config: "Morph", state: "State") -> Iterator[Progress]:
 
         advantage = state.control.learn(state, rollout, iteration)  # line 3, Eq. 2
         pull = exploration.pull(state, rollout, pairs, advantage)
-        update = state.hw_nn.improve(state, pairs, pull, hw_phy, config.ppo, search.pairs)
+        metric = exploration.metric(task, state, pairs, hw_phy)
+        update = state.hw_nn.improve(state, pairs, pull, metric, hw_phy, config.ppo, search.pairs)
         state.relabelled_steps += pairs.steps
 
         search_cost = None
@@ -41,10 +42,12 @@ def morph(task: Task, config: "Morph", state: "State") -> Iterator[Progress]:
             dataset = relabel(rollout, state.hw_nn, search.pairs, state.rng)  # line 5
             search_cost = derive_design(task, state, dataset, search, spread)  # line 6, Eq. 3
 
+        exploration.prepare(task, state, spread, rollout)
         yield state.advance(
             iteration,
             rollout,
             config.freeze_success,
+            exploration.success(task, state, rollout, config.freeze_success),
             design_sigma=exploration.sigma_shown(spread),
             search_cost=search_cost,
             alpha=state.alpha,

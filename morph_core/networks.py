@@ -1,6 +1,7 @@
 """The three networks: policy pi_theta, critic, and the proxy Hw-NN h_psi."""
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -90,6 +91,18 @@ class Proxy(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         """Return z (N, z_size) for `task.proxy_input` features."""
         return self.net(features) * self._task.z_scale
+
+    def last_features(self, features: Tensor) -> Tensor:
+        """Return what the last layer sees (N, k), a 1 for its bias included, times the scale of z: its weights times
+        this is z."""
+        hidden = self.net[:-1](features)
+        return torch.cat([hidden, torch.ones_like(hidden[:, :1])], 1) * self._task.z_scale
+
+    @property
+    def last_weights(self) -> Tensor:
+        """Return the weights (z_size, k) of the last layer, with its bias as the last column."""
+        last: Any = self.net[-1]
+        return torch.cat([last.weight, last.bias[:, None]], 1)
 
 
 def minibatches(size: int, count: int, rng: np.random.Generator) -> list[Tensor]:

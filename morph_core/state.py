@@ -42,6 +42,11 @@ class State:
     """Whether the proxy has been fitted to Hw-Phy at the initial design."""
     explored: np.ndarray | None = None  # (N, d)
     """The designs that the last iteration explored, for people; no checkpoint holds them."""
+    directions: np.ndarray | None = None  # (d, z_size, k)
+    """What a change of each design parameter by 1 asks of the last layer of the proxy, where the noise on z is made so;
+    None before the first rollout."""
+    noise: np.ndarray | None = None  # (N, z_size, k)
+    """What noise adds to the last layer of the proxy in each episode of this iteration; no checkpoint holds it."""
     frozen: bool = False
     """Whether phi stays as it is, and every episode runs on it."""
     relabelled_steps: int = 0
@@ -90,16 +95,24 @@ class State:
             self.memory.proxy_was_fitted(self.hw_nn)
             self.fitted = True
 
-    def advance(self, iteration: int, rollout: Rollout, freeze_success: float = 0.0, **metrics: object) -> Progress:
+    def advance(
+        self,
+        iteration: int,
+        rollout: Rollout,
+        freeze_success: float = 0.0,
+        success: float | None = None,
+        **metrics: object,
+    ) -> Progress:
         """Note that an iteration is over, and return what is to be said of it.
 
-        phi is frozen once `freeze_success` (0: never) of the trajectories succeed. An iteration without `metrics`
-        left nothing to learn from: almost every simulation diverged.
+        phi is frozen once `success`, by default that of the trajectories, reaches `freeze_success`; 0 never freezes it.
+        An iteration without `metrics` left nothing to learn from: almost every simulation diverged.
         """
         self.iteration = iteration
         self.env_steps += rollout.steps
         self.diverged += rollout.diverged
-        self.frozen = self.frozen or 0 < freeze_success <= rollout.success_rate
+        reached = rollout.success_rate if success is None else success
+        self.frozen = self.frozen or 0 < freeze_success <= reached
         return Progress(
             iteration=iteration,
             env_steps=self.env_steps,

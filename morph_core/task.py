@@ -28,6 +28,18 @@ class DifferentiableHardware(Hardware, Protocol):
         ...
 
 
+@runtime_checkable
+class HardwareOfEpisodes(Hardware, Protocol):
+    """Hardware that differs between the episodes that run on it, and can be asked about some of them.
+
+    Called itself, it expects pairs (s, a) of all episodes, once or several times over.
+    """
+
+    def of(self, episodes: np.ndarray) -> Hardware:
+        """Return the hardware of the episodes with these indices (M,), for M pairs (s, a), or any multiple of M."""
+        ...
+
+
 @dataclass(frozen=True)
 class Transition:
     """One control step of N environments."""

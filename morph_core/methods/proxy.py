@@ -36,8 +36,8 @@ class Morph(Method):
     proxy: ProxyFit = ProxyFit()
     """Fit of the proxy to Hw-Phy."""
     exploration: Exploration = Design()
-    """Exploration of z: `design` draws designs around phi on Hw-Phy, `gaussian` is the paper's noise on the proxy's
-    z."""
+    """Exploration of z: `design` draws designs around phi on Hw-Phy, `gaussian` runs in the proxy's world with
+    noise on its z, as the paper does."""
     search: Search = Cma()
     """Search for phi (Eq. 3): `cma` is CMA-ES on the divergence, `gradient` its gradient where Hw-Phy is
     differentiable, `drift` least squares on what the task asks of the proxy, where contact makes the divergence

@@ -14,13 +14,18 @@ from morph_core.methods.direct import Direct
 from morph_core.methods.no_hw_opt import NoHwOpt
 from morph_core.methods.proxy import Morph
 from morph_core.protocol import Parameter
-from morph_core.task import Hardware, Task, Transition
+from morph_core.task import Hardware, HardwareOfEpisodes, Task, Transition
 from morph_core.tasks import palette
 from morph_core.tasks.arm import LINK_RADIUS, Arm
 
 LINKS = 5
 TOLERANCE = 1e-4
 """m: a link counts as inside a wall beyond this depth."""
+OUTLINE_RESOLUTION = 0.15
+"""m: largest move of the arm between two postures that are tested for collision where only z is known: wider ones let
+corners pass."""
+OUTLINE_MARGIN = 0.2
+"""m: what the outline of a proxy may move further than that of a rigid arm."""
 ANGLE_SPREAD, TIP_SPREAD = 3.0, 5.0  # rad, m: as the policy sees joint angles and tip
 WALL_HEIGHT = 0.3  # m, across the plane
 WALL_MARGIN = 1.2  # m: how much of the solid is shown beyond the corridor
@@ -260,6 +265,8 @@ class Reacher(Settings, Task):
         wish = np.where(stuck[:, None], 0.0, self.action_scale * np.clip(action, -1, 1))
         if isinstance(hardware, ForwardKinematics):
             a, blocked, contact = self._sweep(hardware, s[:, :LINKS], wish)
+        elif isinstance(hardware, HardwareOfEpisodes):
+            a, blocked, contact = self._sweep_outline(hardware, s, wish)
         else:
             a, blocked, contact = self._stop_at_end(hardware, s, wish)
         z = hardware(s, a)
@@ -316,6 +323,40 @@ class Reacher(Settings, Task):
                 refused[j:, near[stopped]] = swept[:, steps[stopped], stopped]
             x[j:], y[j:] = _turn(x[j:], y[j:], done[j] * angle[j])
         return done.T * wish, 1 - done.mean(0, dtype=float), self._contact(x_refused, y_refused)
+
+    def _sweep_outline(self, hardware: HardwareOfEpisodes, s: np.ndarray, wish: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Do what `_sweep` does for hardware that is known only by its z: the outline on the way is what it says of the
+        part of the move done so far."""
+        a, done = wish.copy(), np.ones_like(wish)
+        refused = np.full((len(s), 1 if self.z == "tip" else LINKS + 1, 2), np.nan)  # the last posture in contact
+        outline = self._outline(hardware, s, np.zeros_like(wish))
+        reach = self._reach(outline, 0)
+        swing = np.abs(wish).sum(1) * reach + OUTLINE_MARGIN
+        near = (outline[..., 0].max(1) + swing > self.walls.xs[0]).nonzero()[0]  # the others can't reach a wall
+        some, moved, rows = hardware.of(near), np.zeros_like(wish[near]), np.arange(len(near))
+        outline = outline[near]
+        for j in reversed(range(LINKS) if len(near) else ()):
+            n = np.maximum(1, np.ceil(np.abs(wish[near, j]) * self._reach(outline, j) / OUTLINE_RESOLUTION)).astype(int)
+            tried = np.repeat(moved[None], n.max(), 0)  # (n, near, 5)
+            tried[..., j] = np.minimum(np.arange(1, n.max() + 1)[:, None] / n, 1) * wish[near, j]
+            on_the_way = self._outline(some, np.tile(s[near], (n.max(), 1)), tried.reshape(-1, LINKS))
+            x, y = (np.ascontiguousarray(c.T) for c in np.moveaxis(on_the_way, -1, 0))
+            free = (self.walls.depth(x, y) <= TOLERANCE).reshape(n.max(), len(near))
+            steps = np.minimum(np.logical_and.accumulate(free, 0).sum(0), n)
+            on_the_way = on_the_way.reshape(*free.shape, *on_the_way.shape[1:])
+            stopped = (steps < n).nonzero()[0]
+            refused[near[stopped]] = on_the_way[steps[stopped], stopped]
+            outline = np.where((steps > 0)[:, None, None], on_the_way[np.maximum(steps - 1, 0), rows], outline)
+            done[near, j] = steps / n
+            moved[:, j] = steps / n * wish[near, j]
+        a[near] = moved
+        return a, 1 - done.mean(1), self._contact(*refused.T)
+
+    def _reach(self, outline: np.ndarray, joint: int) -> np.ndarray:
+        """Return how far (N,) the points of outlines (N, P, 2) that a joint carries are away from it, at most."""
+        if self.z == "tip":
+            return np.full(len(outline), TIP_SPREAD)
+        return np.linalg.norm(outline[:, joint + 1 :] - outline[:, joint : joint + 1], axis=-1).max(1)
 
     def _stop_at_end(self, hardware: Hardware, s: np.ndarray, wish: np.ndarray) -> tuple[np.ndarray, ...]:
         """Refuse moves that would end inside a wall: all that a hardware known only by its z can tell."""

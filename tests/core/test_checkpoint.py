@@ -53,6 +53,18 @@ def test_a_run_with_a_reference_goes_on_bit_for_bit(tmp_path: Path, iterations: 
         assert all(torch.equal(loaded.modules[name].state_dict()[k], v) for k, v in module.state_dict().items())
 
 
+@pytest.mark.parametrize("noise", ["realisable", "plain"])
+def test_a_run_in_the_proxys_world_goes_on_bit_for_bit(tmp_path: Path, noise: str) -> None:
+    method = small_method("morph", {"exploration": "gaussian", "exploration.noise": noise})
+    folder, state = make_run(tmp_path, method=method), start(TASK, method, 0)
+    for _ in itertools.islice(method.iterations(TASK, state), 2):
+        pass
+    save_checkpoint(folder, state, 1.5)
+    loaded, _ = load_checkpoint(folder, 2, TASK, method)
+    again, expected = (list(itertools.islice(method.iterations(TASK, s), 3)) for s in (loaded, state))
+    assert again == expected
+
+
 def test_a_checkpoint_without_the_reference_that_the_search_needs_is_refused(
     saved: tuple[RunFolder, State],
 ) -> None:

@@ -19,7 +19,10 @@ from morph_core.state import State, start
 from tests.core.scales import Scales, replaced
 
 METHOD = replaced(search=Drift(pairs=8, designs=8), design_interval=2)
-NOT_KEPT = {"explored": "shown to people with the next evaluation, and drawn anew in every iteration"}
+NOT_KEPT = {
+    "explored": "shown to people with the next evaluation, and drawn anew in every iteration",
+    "noise": "drawn anew in every iteration",
+}
 """Fields that no checkpoint holds, with the reason."""
 
 
@@ -35,6 +38,7 @@ def networks(hardware: Any) -> dict[str, Any]:
 
 AS_NUMBERS: dict[str, Callable[[Any], Any]] = {
     "phi": lambda phi: phi.tolist(),
+    "directions": lambda directions: None if directions is None else directions.tolist(),
     "rng": lambda rng: rng.bit_generator.state,
     "control": networks,
     "proxy": networks,
@@ -56,6 +60,7 @@ def lived() -> State:
     state.alpha, state.projection = 7.25, "as_printed"
     state.diverged, state.control_start, state.last_reached = 11, 2, 3
     state.frozen = True
+    state.directions = np.arange(12.0).reshape(2, 2, 3)
     return state
 
 

@@ -10,6 +10,7 @@ import torch
 
 from morph_core.config import Projection
 from morph_core.divergence import divergence, divergence_gradient, limited, squared_distance
+from morph_core.exploration import Metric
 from morph_core.gradients import cosine, flatten, project, write_gradient
 from morph_core.hw_nn import HwNN, ProxyUpdate
 from morph_core.parts import Ppo, ProxyFit
@@ -46,12 +47,50 @@ def state_with(weight: list[list[float]], alpha: float = 1.0, projection: Projec
     return state
 
 
-def improve(state: State, pull: Any, ppo: Ppo = BATCH_OF_ALL, shown: int = 1, **pairs: Any) -> ProxyUpdate:
+def improve(
+    state: State, pull: Any, ppo: Ppo = BATCH_OF_ALL, shown: int = 1, metric: Metric | None = None, **pairs: Any
+) -> ProxyUpdate:
     sampled = pairs_of(z=pairs["z_phi"], **pairs)
     gradient = np.array(pull, dtype=np.float32)
     return state.hw_nn.improve(
-        state, sampled, lambda m, index: gradient[index] / np.float32(len(m)), Multiplied(state.phi), ppo, shown
+        state,
+        sampled,
+        lambda m, index: gradient[index] / np.float32(len(m)),
+        metric or Metric(),
+        Multiplied(state.phi),
+        ppo,
+        shown,
     )
+
+
+def test_each_squared_difference_counts_as_often_as_the_metric_says() -> None:
+    state = state_with(ZERO, alpha=1.0)
+    metric = Metric(np.array([[3.0, 1.0]]))
+    update = improve(state, ZERO[:1], metric=metric, **ONE_PAIR)
+    assert weights_of(state.hw_nn) == [[-6.0, 0.0], [0.0, 0.0]]
+    assert update.divergence == 1.0  # people are told the distance itself
+    # (error * weight) along s: g_task = (1, 1), g_hw = (3, 1) are seen by parameter
+    both = {"s": [[1.0, 1.0]], "z_phi": [[-1.0, -1.0]]}
+    update = improve(state_with(ZERO, alpha=0.0), [[1.0, 1.0]], metric=metric, **both)
+    assert update.cosine == pytest.approx(4 / np.sqrt(2 * 10))
+
+
+def test_the_weights_are_in_the_cosine_of_each_parameter() -> None:
+    s, z_phi = [[1.0, 0.0], [1.0, 0.0]], [[-1.0, 0.0], [-1.0, 0.0]]
+    metric = Metric(np.array([[3.0, 1.0], [1.0, 1.0]]))
+    state = state_with(ZERO, alpha=0.0)
+    update = improve(state, [[1.0, 0.0], [0.0, 0.0]], shown=2, metric=metric, s=s, z_phi=z_phi)
+    error = np.array([weights_of(state.hw_nn)[0][0] + 1] * 2) * [3, 1]
+    assert update.cosine_by_parameter == [pytest.approx(error[0] / np.linalg.norm(error), rel=1e-3), None]
+
+
+@pytest.mark.parametrize(("weight", "step"), [(None, 2 * 5.0), ([[1.0, 0.5]], 5.0)])
+def test_the_divergence_at_further_pairs_is_added(weight: Any, step: float) -> None:
+    state = state_with(ZERO)
+    further = pairs_of(s=[[0.0, 1.0]], z=[[0.0, 5.0]], z_phi=[[0.0, 5.0]])
+    metric = Metric(None, further, None if weight is None else np.array(weight))
+    improve(state, ZERO[:1], metric=metric, **ONE_PAIR)
+    assert weights_of(state.hw_nn) == [[-2.0, 0.0], [0.0, step]]
 
 
 @pytest.mark.parametrize(

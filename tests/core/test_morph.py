@@ -51,8 +51,9 @@ def test_morph_and_direct_move_phi_and_no_hw_opt_does_not() -> None:
     assert run("no_hw_opt", 2)[-1].phi == initial
 
 
-def test_the_gaussian_exploration_runs_in_the_proxys_world() -> None:
-    progress = run("morph", 2, settings={"exploration": "gaussian"})[-1]
+@pytest.mark.parametrize("noise", ["realisable", "plain"])
+def test_the_gaussian_exploration_runs_in_the_proxys_world(noise: str) -> None:
+    progress = run("morph", 2, settings={"exploration": "gaussian", "exploration.noise": noise})[-1]
     assert progress.design_sigma is None
     assert progress.cosine is not None
     assert np.isfinite(progress.episode_return)

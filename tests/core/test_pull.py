@@ -5,15 +5,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from torch import nn
 
 from morph_core.exploration import Pull, Relabelled, relabel_on_hardware, run_trajectories
 from morph_core.explorations.design import Design
-from morph_core.explorations.gaussian import Gaussian, NoisyProxy
+from morph_core.explorations.gaussian import PLAIN, EpisodicProxy, Gaussian, NoisyProxy, directions, noise_std
 from morph_core.parts import Schedule
 from morph_core.rollout import Rollout
 from morph_core.spread import Spread
-from morph_core.task import Task
-from tests.core.scales import TINY, Multiplied, Scales, pairs_of, proxy, replaced, started, trajectories
+from morph_core.state import State
+from morph_core.task import HardwareOfEpisodes, Task
+from tests.core.scales import TINY, Multiplied, Scales, linear, pairs_of, proxy, replaced, started, trajectories
 
 ROOT_HALF = 1 / np.sqrt(2)
 """The standardised return of the better one of two episodes."""
@@ -96,7 +98,9 @@ def test_the_pull_of_noise_is_that_of_ppo_on_z(m: float, flows: dict[float, bool
     ratio = np.exp((1.2**2 - m**2) / 2)
     for advantage, expected in flows.items():
         weights = np.array([advantage], dtype=np.float32)
-        pull = Gaussian(noise=1.0, clip_coef=0.6).pull(state, trajectories([[1.0]], [[1]]), pairs, weights)
+        pull = Gaussian(noise="plain", z_noise=1.0, clip_coef=0.6).pull(
+            state, trajectories([[1.0]], [[1]]), pairs, weights
+        )
         gradient = pull(np.array([[m, 0.0]], dtype=np.float32), np.array([0]))
         # d(-r A)/dm = -r A (z - m) / sigma^2
         assert np.allclose(gradient, [[ratio * advantage * m, 0.0] if expected else [0.0, 0.0]], rtol=1e-4)
@@ -109,7 +113,7 @@ def test_the_noise_scales_the_pull_and_each_pair_has_the_advantage_of_its_row() 
         pairs_of([[1, 1]] * 2, [[1.1, 1.0], [1.0, 0.8]], np.zeros((2, 2))), row=np.array([1, 4])
     )
     advantage = np.array([100, 2, 100, 100, -3], dtype=np.float32)
-    pull = Gaussian(noise=0.5).pull(state, trajectories([[1.0]], [[1]]), pairs, advantage)
+    pull = Gaussian(noise="plain", z_noise=0.5).pull(state, trajectories([[1.0]], [[1]]), pairs, advantage)
     m = np.ones((2, 2), dtype=np.float32)  # r = 1
     expected = np.array([[-2 * 0.1, 0], [0, 3 * -0.2]]) / 0.5**2
     assert np.allclose(pull(m, np.arange(2)), expected / 2, atol=1e-5)
@@ -120,13 +124,14 @@ def test_a_z_that_the_proxy_has_left_far_behind_neither_overflows_nor_pulls() ->
     state = started()
     state.proxy = proxy([[100.0, 0.0], [0.0, 0.0]])
     pairs = pairs_of([[1, 1]], [[0.0, 0.0]], [[0.0, 0.0]])
-    pull = Gaussian(noise=1.0).pull(state, trajectories([[1.0]], [[1]]), pairs, np.array([-1.0], dtype=np.float32))
+    plain = Gaussian(noise="plain", z_noise=1.0)
+    pull = plain.pull(state, trajectories([[1.0]], [[1]]), pairs, np.array([-1.0], dtype=np.float32))
     assert pull(np.array([[0.5, 0.0]], dtype=np.float32), np.array([0])).tolist() == [[0.0, 0.0]]
 
 
 def test_the_world_of_noise_is_the_proxys_with_noise_on_z() -> None:
     state = started(seed=5)
-    world = Gaussian(noise=0.3).world(Scales(), state, Spread(0.5, 0.0), 4)
+    world = Gaussian(noise="plain", z_noise=0.3).world(Scales(), state, Spread(0.5, 0.0), 4)
     assert isinstance(world, NoisyProxy)
     s, a = np.ones((3, 3)), np.zeros((3, 2))
     noise = np.random.default_rng(5).standard_normal((3, 2))
@@ -145,6 +150,231 @@ def test_a_task_that_needs_hw_phy_is_not_explored_by_noise() -> None:
 
 def test_a_search_that_averages_over_designs_finds_some_under_noise() -> None:
     assert Gaussian().spread(Schedule(11), 1, frozen=False) == Design().spread(Schedule(11), 1)
+
+
+# --- gaussian: noise that designs could make ---
+
+
+def layered() -> State:
+    """Return a state whose proxy is z = (s_1, 2 s_2), with a last layer of weights [[1, 0, 0], [0, 2, 0]]."""
+    state = started()
+    state.proxy = proxy([[1.0, 0.0], [0.0, 2.0]])
+    state.proxy.proxy.net = nn.Sequential(linear([[1.0, 0.0], [0.0, 2.0]], [0.0, 0.0]))
+    return state
+
+
+HALF = np.array([[[0.5, 0.0, 0.0], [0.0, 0.0, 0.25]]], dtype=np.float32)
+NOISE = np.concatenate([HALF, -HALF])
+"""Two episodes: the first adds (s_1 / 2, 1 / 4) to z, the second takes them away."""
+
+
+def test_each_episode_has_a_last_layer_of_its_own_however_often_it_is_asked() -> None:
+    world = EpisodicProxy(layered().hw_nn, NOISE)
+    s, a = np.array([[2.0, 1.0, 0.0]] * 2), np.zeros((2, 2))
+    expected = [[3.0, 2.25], [1.0, 1.75]]
+    assert world(s, a).tolist() == world(s, a).tolist() == expected
+    assert world(np.tile(s, (3, 1)), np.tile(a, (3, 1))).tolist() == expected * 3
+    assert world.of(np.array([1]))(s, a).tolist() == [expected[1]] * 2
+    assert isinstance(world, HardwareOfEpisodes)
+
+
+def test_the_scale_of_z_is_in_the_last_features() -> None:
+    class Tenfold(Scales):
+        z_scale = 10.0
+
+    state = layered()
+    state.proxy.proxy._task = state.proxy._task = Tenfold()  # pyright: ignore[reportOptionalMemberAccess]
+    s, a = np.array([[2.0, 1.0, 0.0]] * 2), np.zeros((2, 2))
+    assert state.hw_nn(s, a).tolist() == [[20.0, 20.0]] * 2
+    assert EpisodicProxy(state.hw_nn, 0 * NOISE)(s, a).tolist() == [[20.0, 20.0]] * 2
+
+
+def test_the_noises_standard_deviation_is_that_over_the_episodes_and_never_zero() -> None:
+    s = np.array([[2.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    assert np.allclose(noise_std(layered().hw_nn, NOISE, s, np.zeros((2, 2))), [[1.0, 0.25], [0.01, 0.25]])
+
+
+def test_the_noise_lies_along_what_designs_would_change() -> None:
+    state, task = layered(), Scales()
+    s, a = task.sample_pairs(64, np.random.default_rng(0))
+    found = directions(task, state, Spread(0.5, 0.0), s, a)  # z_i = phi_i s_i, and the last layer sees s
+    expected = np.zeros((2, 2, 3))
+    expected[0, 0, 0] = expected[1, 1, 1] = 1.0
+    assert np.allclose(found, expected, atol=1e-3)
+    assert state.relabelled_steps == 4 * 64
+
+
+def test_at_a_bound_the_difference_is_taken_inwards_and_of_a_lock_there_is_none() -> None:
+    state, task = layered(), Scales()
+    state.design_space = state.design_space.with_lock("second", 2.0)
+    state.phi = np.array([20.0, 2.0])  # the first stands at its upper bound
+    s, a = task.sample_pairs(64, np.random.default_rng(0))
+    found = directions(task, state, Spread(0.5, 0.0), s, a)
+    assert found[0, 0, 0] == pytest.approx(1.0, abs=1e-3)
+    assert (found[1] == 0).all()
+
+
+def test_pairs_that_hw_phy_can_not_simulate_say_nothing_of_directions() -> None:
+    class Breaking(Scales):
+        def hw_phy(self, phi: np.ndarray) -> Any:
+            arm = super().hw_phy(phi)
+            return lambda s, a: np.where(s[:, :1] > 1, np.nan, arm(s, a))
+
+    s, a = Scales().sample_pairs(64, np.random.default_rng(0))
+    assert (s[:, 0] > 1).any()
+    found = directions(Breaking(), layered(), Spread(0.5, 0.0), s, a)
+    assert found[0, 0, 0] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_episodes_come_in_antithetic_pairs_whose_spread_is_that_of_the_designs() -> None:
+    state = layered()
+    state.directions = np.zeros((2, 2, 3))
+    state.directions[0, 0, 0] = state.directions[1, 1, 1] = 1.0
+    world = Gaussian().world(Scales(), state, Spread(0.5, 0.0), 4000)
+    assert isinstance(world, EpisodicProxy)
+    assert state.noise is world.noise
+    assert np.array_equal(world.noise[:2000], -world.noise[2000:])
+    # the scale of the second parameter is 2
+    assert world.noise.std(0) == pytest.approx(np.array([[0.5, 0, 0], [0, 1.0, 0]]), rel=0.05)
+
+
+def test_before_the_first_rollout_directions_come_from_the_whole_workspace() -> None:
+    state = layered()
+    Gaussian().world(Scales(), state, Spread(0.5, 0.0), 4)
+    assert state.directions is not None
+    assert np.allclose(state.directions[0], [[1, 0, 0], [0, 0, 0]], atol=1e-3)
+
+
+def test_directions_are_fitted_anew_on_the_steps_alive_of_each_rollout() -> None:
+    state = layered()
+    s = np.zeros((1, 3, 3))
+    s[0, :, :2] = [[1, 0], [0, 1], [9, 9]]
+    rollout = trajectories([[0.0] * 3], [[1, 1, 0]], s=s)
+    Gaussian().prepare(Scales(), state, Spread(0.5, 0.0), rollout)
+    assert state.directions is not None
+    assert state.relabelled_steps == 4 * 2048
+    told = state.directions.copy()
+    state.frozen = True
+    Gaussian().prepare(Scales(), state, Spread(0.5, 0.0), trajectories([[1.0]], [[1]]))
+    assert np.array_equal(state.directions, told)
+    # on (1, 0) and (0, 1) alone the bias may stand in for half of each; the values there are what is fitted
+    z = state.hw_nn.last_features(np.array([[1.0, 0, 0], [0, 1.0, 0]]), np.zeros((2, 2))) @ told[0, 0]
+    assert np.allclose(z, [1, 0], atol=1e-2)
+
+
+def test_the_plain_noise_fits_nothing() -> None:
+    state = layered()
+    Gaussian(noise="plain").prepare(Scales(), state, Spread(0.5, 0.0), trajectories([[1.0]], [[1]]))
+    assert state.directions is None
+    assert state.relabelled_steps == 0
+
+
+def test_a_world_tested_at_the_end_of_moves_is_the_same_but_for_its_outline() -> None:
+    worlds = []
+    for contact in ("swept", "end"):
+        state = layered()
+        worlds.append(Gaussian(contact=contact).world(Scales(), state, Spread(0.5, 0.0), 4))
+    s, a = np.ones((4, 3)), np.zeros((4, 2))
+    assert np.array_equal(worlds[0](s, a), worlds[1](s, a))
+    assert [isinstance(world, HardwareOfEpisodes) for world in worlds] == [True, False]
+
+
+@pytest.mark.parametrize(("credit", "expected"), [("episode", ROOT_HALF), ("step", 5.0)])
+def test_the_pull_is_in_units_of_the_noise_at_each_pair(credit: Any, expected: float) -> None:
+    state = layered()
+    state.noise = NOISE
+    pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])  # m = (2, 2), sigma = (1, .25)
+    gaussian = Gaussian(credit=credit, clip_coef=9.0)
+    pull = gaussian.pull(state, trajectories([[1.0, 0.0]], [[1, 1]]), pairs, np.array([5.0, 0.0], dtype=np.float32))
+    gradient = pull(np.array([[2.0, 2.0]], dtype=np.float32), np.array([0]))  # r = 1
+    assert np.allclose(gradient, [[-expected * (3 - 2) / 1**2, 0.0]], atol=1e-5)
+    moved = pull(np.array([[2.0, 2.125]], dtype=np.float32), np.array([0]))  # r = exp(-(.5)^2 / 2)
+    assert np.allclose(moved, np.exp(-0.125) * -expected * np.array([[1, -0.125 / 0.25**2]]), atol=1e-4)
+
+
+@pytest.mark.parametrize(("largest", "flows"), [(1.1, False), (1.3, True)])
+def test_where_the_advantage_is_negative_the_ratio_is_clipped_from_above(largest: float, flows: bool) -> None:
+    state = layered()
+    state.noise = NOISE
+    pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])
+    state.hw_nn.proxy.net[0].weight.data[0, 0] = 0.71  # pyright: ignore - m was (1.42, 2), so that log r = 1.248
+    gaussian = Gaussian(credit="step", largest_log_ratio=largest)
+    pull = gaussian.pull(state, trajectories([[1.0]], [[1]]), pairs, np.array([-1.0], dtype=np.float32))
+    gradient = pull(np.array([[3.0, 2.0]], dtype=np.float32) - [[0.001, 0]], np.array([0]))
+    assert bool(np.abs(gradient).sum() > 0) == flows
+
+
+@pytest.mark.parametrize(
+    ("settings", "frozen", "weight"),
+    [({}, False, [[0.5, 8.0]]), ({"divergence": "plain"}, False, None), ({}, True, None)],
+)
+def test_d_is_measured_in_units_of_the_noise(settings: dict[str, Any], frozen: bool, weight: Any) -> None:
+    state = layered()
+    state.noise = None if frozen else NOISE
+    pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])
+    metric = Gaussian(spread_pairs=6, **settings).metric(Scales(), state, pairs, Multiplied(np.array([3.0, 5.0])))
+    assert metric.weight == (None if weight is None else pytest.approx(np.array(weight)))
+    assert metric.further is not None
+    assert np.array_equal(metric.further.z_phi, metric.further.s[:, :2] * [3, 5])
+    assert len(metric.further) == state.relabelled_steps == 6
+    if weight is None:
+        assert metric.further_weight is None
+    else:
+        std = np.maximum(0.01, np.stack([np.abs(metric.further.s[:, 0]) / 2, np.full(6, 0.25)], 1))
+        assert metric.further_weight == pytest.approx(0.5 / std**2, rel=1e-3)
+
+
+def test_without_spread_pairs_d_is_that_of_the_rollout() -> None:
+    state = layered()
+    metric = Gaussian(spread_pairs=0).metric(Scales(), state, pairs_of([[2, 1]], [[3, 2]], [[2, 2]]), Multiplied(TWO))
+    assert (metric.weight, metric.further, state.relabelled_steps) == (None, None, 0)
+    broken = Gaussian(spread_pairs=5).metric(
+        Scales(), state, pairs_of([[2, 1]], [[3, 2]], [[2, 2]]), lambda s, _: s[:, :2] * np.nan
+    )
+    assert broken.further is None
+
+
+TWO = np.array([2.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("noise", "level", "frozen", "told", "tried"),
+    [
+        ("realisable", 0.5, False, 0.75, True),  # on Hw-Phy three of four end
+        ("realisable", 0.6, False, 0.5, False),  # the world has not reached the level
+        ("realisable", 0.0, False, 0.5, False),  # phi never freezes
+        ("realisable", 0.5, True, 0.5, False),
+        ("plain", 0.5, False, 0.5, False),
+    ],
+)
+def test_phi_freezes_on_the_success_on_hw_phy(noise: Any, level: float, frozen: bool, told: float, tried: bool) -> None:
+    state, task = layered(), Scales(ends=2, succeeding=0.75)
+    state.frozen = frozen
+    successes = np.array([True, True, False, False])
+    rollout = trajectories(np.zeros((1, 4)), np.ones((1, 4)), successes=successes)
+    rollout = dataclasses.replace(rollout, kept=np.ones(4, dtype=bool))
+    assert Gaussian(noise=noise).success(task, state, rollout, level) == told
+    assert state.env_steps == (3 * 2 + 1 * 3 if tried else 0)
+
+
+@pytest.mark.parametrize("finish", ["hw_phy", "proxy"])
+def test_once_phi_is_frozen_nothing_is_explored_and_nothing_pulls(finish: Any) -> None:
+    state = layered()
+    state.frozen, state.phi, state.noise = True, np.array([3.0, 5.0]), NOISE
+    gaussian = Gaussian(finish=finish)
+    world = gaussian.world(Scales(), state, Spread(0.0, 0.0), 2)
+    z = world(np.array([[2.0, 1.0, 0.0]] * 2), np.zeros((2, 2)))
+    assert z.tolist() == [[6.0, 5.0] if finish == "hw_phy" else [2.0, 2.0]] * 2
+    assert state.noise is None
+    pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])
+    pull = gaussian.pull(state, trajectories([[1.0]], [[1]]), pairs, np.array([1.0], dtype=np.float32))
+    assert pull(np.ones((1, 2), dtype=np.float32), np.array([0])).tolist() == [[0.0, 0.0]]
+
+
+def test_the_plain_noise_turns_every_other_part_off() -> None:
+    plain = Gaussian(noise="plain", contact="swept", spread_pairs=99)
+    assert {part: getattr(plain, part) for part in PLAIN} == PLAIN
+    assert all(getattr(Gaussian(), part) != off for part, off in PLAIN.items())
 
 
 # --- pairs ---

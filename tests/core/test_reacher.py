@@ -60,6 +60,73 @@ def test_a_sweep_never_ends_in_a_wall_nor_passes_through_one(phi: np.ndarray, se
         s = step.s
 
 
+class Outlined:
+    """An arm that can be asked for its joints alone, as a proxy can."""
+
+    def __init__(self, arm: ForwardKinematics) -> None:
+        self.arm, self.phi = arm, arm.phi
+
+    def __call__(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return self.arm(s, a)
+
+    def of(self, episodes: np.ndarray) -> "Outlined":
+        phi = self.phi[episodes] if self.phi.ndim > 1 else self.phi
+        return Tiled(phi, self.arm.tip_only)
+
+
+class Tiled(Outlined):
+    """Arms of some episodes, asked several times over."""
+
+    def __init__(self, phi: np.ndarray, tip_only: bool) -> None:
+        self.phi, self.tip_only = phi, tip_only
+
+    def __call__(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        phi = np.tile(self.phi, (len(s) // len(self.phi), 1)) if self.phi.ndim > 1 else self.phi
+        return ForwardKinematics(phi, self.tip_only)(s, a)
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_the_outline_of_a_world_is_swept_as_the_arm_itself_is(seed: int) -> None:
+    task, rng = Reacher(sweep_resolution=0.15), np.random.default_rng(seed)
+    arm = task.hw_phy(rng.uniform(0.05, 5, (16, LINKS)))  # an arm of its own for each episode
+    s, drift = task.reset(arm, 16, rng), rng.uniform(-1, 1, (16, LINKS))
+    stopped = 0
+    for _ in range(15):
+        action = drift + 0.5 * rng.standard_normal((16, LINKS))
+        step, swept = task.step(arm, s, action), task.step(Outlined(arm), s, action)
+        # rounding at the edge of a wall or of a resolution may let one posture more pass, seldom
+        same = np.isclose(step.a, swept.a, atol=1e-4).all(1)
+        assert same.mean() > 0.8
+        assert np.allclose(step.reward[same], swept.reward[same], atol=1e-4)
+        assert np.allclose(step.contact[same], swept.contact[same], atol=0.01, equal_nan=True)
+        stopped += (step.reward_terms["collision"][same] < 0).sum()
+        s = step.s
+    assert stopped > 0
+
+
+def test_a_swept_outline_does_not_leap_through_a_wall_and_its_end_alone_does() -> None:
+    task = Reacher(action_scale=3.5, start_noise=0.0)
+    arm = task.hw_phy(np.array([0.05, 0.05, 0.05, 0.05, 5.0]))
+    s = task.reset(arm, 2, np.random.default_rng(0))
+    turn = np.zeros((2, LINKS))
+    turn[0, -1] = np.deg2rad(-190)  # from straight up to straight down, clockwise: both ends are free
+    swept = task.step(Outlined(arm), s, turn / task.action_scale)
+    assert abs(swept.a[0, -1]) < abs(turn[0, -1])
+    assert swept.contact[0, 0, 0] >= task.walls.xs[0] - 1e-6
+    assert np.isnan(swept.contact[1]).all()
+    ends = task.step(lambda s, a: arm(s, a), s, turn / task.action_scale)
+    assert ends.a[0, -1] == pytest.approx(turn[0, -1])
+
+
+def test_a_tip_alone_is_swept_too() -> None:
+    task = Reacher(action_scale=3.5, start_noise=0.0, z="tip")
+    arm = task.hw_phy(np.array([0.05, 0.05, 0.05, 0.05, 5.0]))
+    s = task.reset(arm, 1, np.random.default_rng(0))
+    turn = np.array([[0, 0, 0, 0, np.deg2rad(-190)]])
+    assert abs(task.step(Outlined(arm), s, turn / task.action_scale).a[0, -1]) < abs(turn[0, -1])
+
+
 def test_a_link_can_not_leap_through_a_wall() -> None:
     task = Reacher(action_scale=3.5, start_noise=0.0)
     arm = task.hw_phy(np.array([0.05, 0.05, 0.05, 0.05, 5.0]))
