@@ -62,6 +62,7 @@ _.charts
 # Classes that the catalogue finds in their folder, by name.
 _.CmaesRl
 _.Gaussian
+_.GaussianIid
 _.Gradient
 _.MouseClick
 _.PenPress

@@ -27,7 +27,7 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "advantage_limit": ("exploration.advantage_limit", "designs.advantage_limit"),
     "kappa": ("exploration.kappa",),
     "z_sigma": ("exploration.z_sigma",),
-    "z_noise": ("exploration.z_noise",),
+    "z_noise": ("exploration.noise",),
     "z_clip_coef": ("exploration.clip_coef",),
     "drift_clip": ("exploration.drift_clip", "search.drift_clip"),
     "search_pairs": ("search.pairs",),
@@ -51,4 +51,6 @@ def translated(config: Mapping[str, object]) -> dict[str, object]:
     Format 1 recorded all of them, whether they did something or not.
     """
     renamed = {new: value for old, value in config.items() for new in RENAMED.get(old, (old,))}
-    return renamed | {"exploration.noise": "plain"}  # the only noise there was
+    if renamed.get("exploration") == "gaussian":
+        renamed["exploration"] = "gaussian_iid"  # which had the name then
+    return renamed

@@ -158,7 +158,7 @@ def test_the_start_panel_offers_them_with_their_settings(site: Path) -> None:
     shown = json.loads(python(PANEL + ASKED, site).splitlines()[0])
     assert shown["task"][-1] == "own_throw"
     assert shown["method"][-1] == "random_walk"
-    assert shown["exploration"] == ["design", "gaussian", "uniform"]
+    assert shown["exploration"] == ["design", "gaussian", "gaussian_iid", "uniform"]
     assert shown["search"] == ["cma", "drift", "gradient", "scatter"]
     assert shown["iterations"] == 60
     assert shown["request"] == ["own_throw", "morph", {"search": "scatter", "search.tries": 7}]

@@ -26,8 +26,6 @@ START_PAIRS = 512
 """Pairs for that fit before the first rollout, spread over the workspace."""
 RIDGE = 1e-4
 """Ridge of that fit, as a share of the features' mean square."""
-PLAIN = {"contact": "end", "divergence": "plain", "spread_pairs": 0, "credit": "step", "largest_log_ratio": 10.0}
-"""The parts that the plain noise has none of -> what stands for that."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +36,6 @@ class Gaussian(ExploredDesigns, Exploration):
     changes of the design would ask of it, and each episode keeps its own; Sigma is that of those designs.
     """
 
-    noise: Literal["realisable", "plain"] = "realisable"
-    """Noise on z: `realisable` is what designs could do and is held for an episode, `plain` is drawn afresh each time
-    that z is asked for. `plain` turns the other parts off, too: contact, divergence, spread_pairs, credit and
-    largest_log_ratio."""
-    z_noise: Positive = 0.1
-    """sigma_z: standard deviation of z around the proxy's output under noise `plain`, in units of z."""
     contact: Literal["swept", "end"] = "swept"
     """Collision test in the proxy's world: `swept` tests the whole of each move, as Hw-Phy does, `end` its end alone.
     For a task that makes no such difference both are the same."""
@@ -61,15 +53,9 @@ class Gaussian(ExploredDesigns, Exploration):
     """Dual clip: largest logarithm of the probability ratio of z. PPO's clip leaves it unbounded where A is
     negative."""
     finish: Literal["hw_phy", "proxy"] = "hw_phy"
-    """World of the trajectories once phi is frozen: Hw-Phy, or still that of the proxy, without noise. The noise
-    `plain` always stays in the proxy's."""
+    """World of the trajectories once phi is frozen: Hw-Phy, or still that of the proxy, without noise."""
 
     name: ClassVar[str] = "gaussian"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for part, off in PLAIN.items() if self.noise == "plain" else ():
-            object.__setattr__(self, part, off)
 
     def check(self, task: Task) -> None:
         if not task.runs_on_proxy:
@@ -82,8 +68,6 @@ class Gaussian(ExploredDesigns, Exploration):
         """Return None: no design is built and tried."""
 
     def world(self, task: Task, state: "State", spread: Spread, trajectories: int) -> Hardware:
-        if self.noise == "plain":
-            return NoisyProxy(state.hw_nn, self.z_noise, state.rng)
         state.noise = None if state.frozen else self._noise(task, state, spread, trajectories)
         if state.frozen and self.finish == "hw_phy":
             return task.hw_phy(state.phi)
@@ -102,7 +86,7 @@ class Gaussian(ExploredDesigns, Exploration):
 
     def prepare(self, task: Task, state: "State", spread: Spread, rollout: Rollout) -> None:
         """Fit on this rollout what designs ask of the last layer."""
-        if self.noise == "realisable" and not state.frozen:
+        if not state.frozen:
             t, n = rollout.alive.nonzero()
             chosen = state.rng.integers(len(t), size=FITTED_PAIRS)
             at = t[chosen], n[chosen]
@@ -111,7 +95,7 @@ class Gaussian(ExploredDesigns, Exploration):
     def success(self, task: Task, state: "State", rollout: Rollout, level: float) -> float:
         """Return the success on Hw-Phy, which is tried once the proxy's world has reached the level."""
         success = rollout.success_rate
-        if self.noise == "plain" or state.frozen or not 0 < level <= success:
+        if state.frozen or not 0 < level <= success:
             return success
         proof = run_trajectories(task, state, task.hw_phy(state.phi), rollout.episodes)
         state.env_steps += proof.steps
@@ -142,16 +126,14 @@ class Gaussian(ExploredDesigns, Exploration):
 
         from morph_core.networks import log_normal
 
-        if state.frozen and self.noise != "plain":
+        if state.noise is None:
             return lambda m, _: np.zeros_like(m)
         by_episode = self.credit == "episode"
         credit = self.advantage(rollout.returns)[pairs.episode] if by_episode else advantage[pairs.row]
         weight = torch.from_numpy(credit.astype(np.float32))
         z = torch.from_numpy(pairs.z.astype(np.float32))
         m_before = torch.from_numpy(state.hw_nn(pairs.s, pairs.a).astype(np.float32))
-        sigma = torch.tensor(self.z_noise).expand_as(z)
-        if state.noise is not None:
-            sigma = torch.from_numpy(noise_std(state.hw_nn, state.noise, pairs.s, pairs.a))
+        sigma = torch.from_numpy(noise_std(state.hw_nn, state.noise, pairs.s, pairs.a))
         log_before = log_normal(z, m_before, sigma)
 
         def pull(m: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -163,19 +145,6 @@ class Gaussian(ExploredDesigns, Exploration):
             return torch.autograd.grad(loss, output)[0].numpy()
 
         return pull
-
-
-@dataclass(frozen=True)
-class NoisyProxy:
-    """The proxy's world with z ~ N(h_psi(s, a), sigma^2), as `Hardware`."""
-
-    proxy: Hardware
-    sigma: float
-    rng: np.random.Generator
-
-    def __call__(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
-        z = self.proxy(s, a)
-        return z + self.sigma * self.rng.standard_normal(z.shape)
 
 
 @dataclass(frozen=True)

@@ -53,9 +53,9 @@ def test_a_run_with_a_reference_goes_on_bit_for_bit(tmp_path: Path, iterations: 
         assert all(torch.equal(loaded.modules[name].state_dict()[k], v) for k, v in module.state_dict().items())
 
 
-@pytest.mark.parametrize("noise", ["realisable", "plain"])
-def test_a_run_in_the_proxys_world_goes_on_bit_for_bit(tmp_path: Path, noise: str) -> None:
-    method = small_method("morph", {"exploration": "gaussian", "exploration.noise": noise})
+@pytest.mark.parametrize("exploration", ["gaussian", "gaussian_iid"])
+def test_a_run_in_the_proxys_world_goes_on_bit_for_bit(tmp_path: Path, exploration: str) -> None:
+    method = small_method("morph", {"exploration": exploration})
     folder, state = make_run(tmp_path, method=method), start(TASK, method, 0)
     for _ in itertools.islice(method.iterations(TASK, state), 2):
         pass

@@ -12,7 +12,7 @@ from morph_core.catalogue import make_task
 from morph_core.divergence import divergence_gradient
 from morph_core.exploration import Relabelled, relabel_on_hardware, run_trajectories
 from morph_core.explorations.design import Design
-from morph_core.explorations.gaussian import Gaussian
+from morph_core.explorations.gaussian_iid import GaussianIid
 from morph_core.parts import Schedule
 from morph_core.rollout import Rollout
 from morph_core.spread import ExploredDesigns, Spread, nearest_buildable
@@ -144,7 +144,7 @@ def test_the_clipped_pull_vanishes_beyond_the_clip(sampled: int, monkeypatch: py
 
     def pull_at(m_before: np.ndarray, m: np.ndarray) -> np.ndarray:
         monkeypatch.setattr(state, "proxy", lambda *_: m_before)
-        return Gaussian(noise="plain").pull(state, rollout, pairs, np.ones(rollout.steps, np.float32))(m, index)
+        return GaussianIid().pull(state, rollout, pairs, np.ones(rollout.steps, np.float32))(m, index)
 
     assert np.abs(pull_at(z - 0.05, z - 0.05)).sum() > 0
     assert np.abs(pull_at(z - 0.5, z)).sum() == 0  # far better: the ratio at z is far above 1 + clip

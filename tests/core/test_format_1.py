@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 import torch
 
-from morph_core.catalogue import EXPLORATIONS, METHODS, SEARCHES, configured, read_method
+from morph_core.catalogue import METHODS, SEARCHES, configured, read_method
 from morph_core.config import paths_of
 from morph_core.evaluate import evaluate_run
 from morph_core.explorations.design import Design
-from morph_core.explorations.gaussian import Gaussian
+from morph_core.explorations.gaussian_iid import GaussianIid
 from morph_core.format_1 import RENAMED, translated
 from morph_core.history import History
 from morph_core.method import Method
@@ -46,11 +46,7 @@ OLD_DEFAULTS: dict[str, Any] = {
     "drift_designs": 24, "drift_ridge": 0.2, "drift_limit": 1.5, "evaluation_interval": 5, "evaluation_episodes": 128,
 }  # fmt: skip
 """Every field that settings had in format 1."""
-ONCE_FIXED = {
-    "proxy.prefit_pairs": 512, "proxy.prefit_learning_rate": 2e-3, "search.steps": 200, "exploration.noise": "plain",
-    "exploration.contact": "end", "exploration.divergence": "plain", "exploration.spread_pairs": 0,
-    "exploration.credit": "step", "exploration.largest_log_ratio": 10.0, "exploration.finish": "hw_phy",
-}  # fmt: skip
+ONCE_FIXED = {"proxy.prefit_pairs": 512, "proxy.prefit_learning_rate": 2e-3, "search.steps": 200}
 """What could not be set in format 1 -> what it was."""
 
 _TINY: dict[str, Any] = {
@@ -84,7 +80,7 @@ RUNS = {
             ppo=dataclasses.replace(_PPO, gamma=0.95),
             projection="one_sided",
             proxy=ProxyFit(prefit=20, pairs=100),
-            exploration=Gaussian(noise="plain", z_noise=0.2, clip_coef=0.5),
+            exploration=GaussianIid(noise=0.2, clip_coef=0.5),
             search=Cma(pairs=32, population=6, generations=3, sigma0=0.2),
         ),
         4,
@@ -144,9 +140,12 @@ RUNS = {
         "0x1.bdc45edd6b496p-6",
     ),
 }  # fmt: skip
-CHOICES = [("morph", exploration, search) for exploration in EXPLORATIONS for search in SEARCHES] + [
-    (method, "design", "cma") for method in METHODS if method != "morph"
+CHOICES = [("morph", exploration, search) for exploration in ("design", "gaussian") for search in SEARCHES] + [
+    (method, "design", "cma") for method in ("direct", "no_hw_opt")
 ]
+"""What could be chosen in format 1."""
+NOW = {"design": "design", "gaussian": "gaussian_iid"}
+"""What an exploration was called in format 1 -> what it is called now."""
 
 
 @pytest.fixture(params=sorted(RUNS))
@@ -181,7 +180,7 @@ def test_every_old_setting_is_the_same_or_has_a_new_name(old: str) -> None:
     possible = {path for method in METHODS for path, _ in paths_of(METHODS[method]())} | {
         path
         for _, exploration, search in CHOICES
-        for path, _ in paths_of(configured(Morph(), {"exploration": exploration, "search": search}))
+        for path, _ in paths_of(configured(Morph(), {"exploration": NOW[exploration], "search": search}))
     }
     names = RENAMED.get(old, (old,))
     assert set(names) <= possible
@@ -197,9 +196,8 @@ def test_a_run_with_the_old_defaults_has_the_new_ones(
     tmp_path: Path, method: str, exploration: str, search: str
 ) -> None:
     config = OLD_DEFAULTS | {"exploration": exploration, "search": search}
-    chosen = {"exploration": exploration, "search": search} if method == "morph" else {}
-    plain = {"exploration.noise": "plain"} if (method, exploration) == ("morph", "gaussian") else {}
-    assert read(tmp_path, method, config) == configured(METHODS[method](), chosen | plain)
+    chosen = {"exploration": NOW[exploration], "search": search} if method == "morph" else {}
+    assert read(tmp_path, method, config) == configured(METHODS[method](), chosen)
 
 
 @pytest.mark.parametrize(("method", "exploration", "search"), CHOICES)

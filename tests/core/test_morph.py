@@ -51,16 +51,16 @@ def test_morph_and_direct_move_phi_and_no_hw_opt_does_not() -> None:
     assert run("no_hw_opt", 2)[-1].phi == initial
 
 
-@pytest.mark.parametrize("noise", ["realisable", "plain"])
-def test_the_gaussian_exploration_runs_in_the_proxys_world(noise: str) -> None:
-    progress = run("morph", 2, settings={"exploration": "gaussian", "exploration.noise": noise})[-1]
+@pytest.mark.parametrize("exploration", ["gaussian", "gaussian_iid"])
+def test_the_gaussian_exploration_runs_in_the_proxys_world(exploration: str) -> None:
+    progress = run("morph", 2, settings={"exploration": exploration})[-1]
     assert progress.design_sigma is None
     assert progress.cosine is not None
     assert np.isfinite(progress.episode_return)
 
 
 @pytest.mark.parametrize("z", ["joints", "tip"])
-@pytest.mark.parametrize("exploration", ["design", "gaussian"])
+@pytest.mark.parametrize("exploration", ["design", "gaussian", "gaussian_iid"])
 def test_every_z_and_exploration_go_together(z: str, exploration: str) -> None:
     task = make_task("reacher", {"z": z, "tunnel": "paper"})
     method = small_method("morph", {"exploration": exploration})
@@ -192,7 +192,7 @@ def test_a_method_learns_from_the_episodes_that_could_be_simulated(method: str) 
 
 
 @pytest.mark.parametrize("limit", [0.0, 0.06])
-@pytest.mark.parametrize("method", sorted(METHODS))
+@pytest.mark.parametrize("method", sorted({*METHODS} - {"cmaes_rl"}))  # which begins a candidate all the same
 def test_an_iteration_that_leaves_no_two_episodes_is_skipped(method: str, limit: float) -> None:
     task, chosen = Fragile(limit=limit), small_method(method, {"proxy.prefit": 0} if method == "morph" else {})
     state = start(task, chosen, 0)

@@ -9,7 +9,8 @@ from torch import nn
 
 from morph_core.exploration import Pull, Relabelled, relabel_on_hardware, run_trajectories
 from morph_core.explorations.design import Design
-from morph_core.explorations.gaussian import PLAIN, EpisodicProxy, Gaussian, NoisyProxy, directions, noise_std
+from morph_core.explorations.gaussian import EpisodicProxy, Gaussian, directions, noise_std
+from morph_core.explorations.gaussian_iid import GaussianIid, NoisyProxy
 from morph_core.parts import Schedule
 from morph_core.rollout import Rollout
 from morph_core.spread import Spread
@@ -98,9 +99,7 @@ def test_the_pull_of_noise_is_that_of_ppo_on_z(m: float, flows: dict[float, bool
     ratio = np.exp((1.2**2 - m**2) / 2)
     for advantage, expected in flows.items():
         weights = np.array([advantage], dtype=np.float32)
-        pull = Gaussian(noise="plain", z_noise=1.0, clip_coef=0.6).pull(
-            state, trajectories([[1.0]], [[1]]), pairs, weights
-        )
+        pull = GaussianIid(noise=1.0, clip_coef=0.6).pull(state, trajectories([[1.0]], [[1]]), pairs, weights)
         gradient = pull(np.array([[m, 0.0]], dtype=np.float32), np.array([0]))
         # d(-r A)/dm = -r A (z - m) / sigma^2
         assert np.allclose(gradient, [[ratio * advantage * m, 0.0] if expected else [0.0, 0.0]], rtol=1e-4)
@@ -113,7 +112,7 @@ def test_the_noise_scales_the_pull_and_each_pair_has_the_advantage_of_its_row() 
         pairs_of([[1, 1]] * 2, [[1.1, 1.0], [1.0, 0.8]], np.zeros((2, 2))), row=np.array([1, 4])
     )
     advantage = np.array([100, 2, 100, 100, -3], dtype=np.float32)
-    pull = Gaussian(noise="plain", z_noise=0.5).pull(state, trajectories([[1.0]], [[1]]), pairs, advantage)
+    pull = GaussianIid(noise=0.5).pull(state, trajectories([[1.0]], [[1]]), pairs, advantage)
     m = np.ones((2, 2), dtype=np.float32)  # r = 1
     expected = np.array([[-2 * 0.1, 0], [0, 3 * -0.2]]) / 0.5**2
     assert np.allclose(pull(m, np.arange(2)), expected / 2, atol=1e-5)
@@ -124,14 +123,14 @@ def test_a_z_that_the_proxy_has_left_far_behind_neither_overflows_nor_pulls() ->
     state = started()
     state.proxy = proxy([[100.0, 0.0], [0.0, 0.0]])
     pairs = pairs_of([[1, 1]], [[0.0, 0.0]], [[0.0, 0.0]])
-    plain = Gaussian(noise="plain", z_noise=1.0)
+    plain = GaussianIid(noise=1.0)
     pull = plain.pull(state, trajectories([[1.0]], [[1]]), pairs, np.array([-1.0], dtype=np.float32))
     assert pull(np.array([[0.5, 0.0]], dtype=np.float32), np.array([0])).tolist() == [[0.0, 0.0]]
 
 
 def test_the_world_of_noise_is_the_proxys_with_noise_on_z() -> None:
     state = started(seed=5)
-    world = Gaussian(noise="plain", z_noise=0.3).world(Scales(), state, Spread(0.5, 0.0), 4)
+    world = GaussianIid(noise=0.3).world(Scales(), state, Spread(0.5, 0.0), 4)
     assert isinstance(world, NoisyProxy)
     s, a = np.ones((3, 3)), np.zeros((3, 2))
     noise = np.random.default_rng(5).standard_normal((3, 2))
@@ -143,7 +142,7 @@ def test_a_task_that_needs_hw_phy_is_not_explored_by_noise() -> None:
         runs_on_proxy = False
 
     Gaussian().check(Scales())
-    with pytest.raises(ValueError, match=r'"gaussian": it can\'t be simulated .*choose from: "design"'):
+    with pytest.raises(ValueError, match=r'"gaussian(_iid)?": it can\'t be simulated .*choose from: "design"'):
         Gaussian().check(Contact())
     Design().check(Contact())
 
@@ -262,13 +261,6 @@ def test_directions_are_fitted_anew_on_the_steps_alive_of_each_rollout() -> None
     assert np.allclose(z, [1, 0], atol=1e-2)
 
 
-def test_the_plain_noise_fits_nothing() -> None:
-    state = layered()
-    Gaussian(noise="plain").prepare(Scales(), state, Spread(0.5, 0.0), trajectories([[1.0]], [[1]]))
-    assert state.directions is None
-    assert state.relabelled_steps == 0
-
-
 def test_a_world_tested_at_the_end_of_moves_is_the_same_but_for_its_outline() -> None:
     worlds = []
     for contact in ("swept", "end"):
@@ -338,22 +330,21 @@ TWO = np.array([2.0, 2.0])
 
 
 @pytest.mark.parametrize(
-    ("noise", "level", "frozen", "told", "tried"),
+    ("level", "frozen", "told", "tried"),
     [
-        ("realisable", 0.5, False, 0.75, True),  # on Hw-Phy three of four end
-        ("realisable", 0.6, False, 0.5, False),  # the world has not reached the level
-        ("realisable", 0.0, False, 0.5, False),  # phi never freezes
-        ("realisable", 0.5, True, 0.5, False),
-        ("plain", 0.5, False, 0.5, False),
+        (0.5, False, 0.75, True),  # on Hw-Phy three of four end
+        (0.6, False, 0.5, False),  # the world has not reached the level
+        (0.0, False, 0.5, False),  # phi never freezes
+        (0.5, True, 0.5, False),
     ],
 )
-def test_phi_freezes_on_the_success_on_hw_phy(noise: Any, level: float, frozen: bool, told: float, tried: bool) -> None:
+def test_phi_freezes_on_the_success_on_hw_phy(level: float, frozen: bool, told: float, tried: bool) -> None:
     state, task = layered(), Scales(ends=2, succeeding=0.75)
     state.frozen = frozen
     successes = np.array([True, True, False, False])
     rollout = trajectories(np.zeros((1, 4)), np.ones((1, 4)), successes=successes)
     rollout = dataclasses.replace(rollout, kept=np.ones(4, dtype=bool))
-    assert Gaussian(noise=noise).success(task, state, rollout, level) == told
+    assert Gaussian().success(task, state, rollout, level) == told
     assert state.env_steps == (3 * 2 + 1 * 3 if tried else 0)
 
 
@@ -369,12 +360,6 @@ def test_once_phi_is_frozen_nothing_is_explored_and_nothing_pulls(finish: Any) -
     pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])
     pull = gaussian.pull(state, trajectories([[1.0]], [[1]]), pairs, np.array([1.0], dtype=np.float32))
     assert pull(np.ones((1, 2), dtype=np.float32), np.array([0])).tolist() == [[0.0, 0.0]]
-
-
-def test_the_plain_noise_turns_every_other_part_off() -> None:
-    plain = Gaussian(noise="plain", contact="swept", spread_pairs=99)
-    assert {part: getattr(plain, part) for part in PLAIN} == PLAIN
-    assert all(getattr(Gaussian(), part) != off for part, off in PLAIN.items())
 
 
 # --- pairs ---

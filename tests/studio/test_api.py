@@ -89,8 +89,11 @@ def test_tasks_come_with_everything_a_form_needs(served: Served) -> None:
         "only_with": None,
         "doc": "alpha: weight of the divergence between proxy and Hw-Phy in Eq. 2.",
     }  # fmt: skip
-    assert settings["exploration"]["choices"] == ["design", "gaussian"]
-    assert (settings["search.ridge"]["only_with"], settings["exploration.noise"]["only_with"]) == ("drift", "gaussian")
+    assert settings["exploration"]["choices"] == ["design", "gaussian", "gaussian_iid"]
+    assert (settings["search.ridge"]["only_with"], settings["exploration.noise"]["only_with"]) == (
+        "drift",
+        "gaussian_iid",
+    )
     assert set(dict(paths_of(make_method("morph", make_task("reacher"))))) <= set(settings)
     assert "alpha" not in {field["name"] for field in reacher["settings"]["no_hw_opt"]}
     assert all(field["doc"] for fields in reacher["settings"].values() for field in fields)
