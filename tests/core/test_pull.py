@@ -297,6 +297,33 @@ def test_where_the_advantage_is_negative_the_ratio_is_clipped_from_above(largest
 
 
 @pytest.mark.parametrize(
+    ("m", "advantage", "flows"),
+    [(2.9, 1.0, False), (2.5, 1.0, True), (2.9, -1.0, True), (1.0, -1.0, False), (1.0, 1.0, True)],
+)
+def test_the_ratio_under_the_held_noise_is_clipped_as_ppo_does(m: float, advantage: float, flows: bool) -> None:
+    state = layered()
+    state.noise = NOISE
+    pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])  # m was (2, 2), and the noise's std there is (1, 1/4)
+    pull = Gaussian(credit="step", clip_coef=0.6).pull(
+        state, trajectories([[1.0]], [[1]]), pairs, np.array([advantage], dtype=np.float32)
+    )
+    ratio = np.exp((1 - (3 - m) ** 2) / 2)
+    gradient = pull(np.array([[m, 2.0]], dtype=np.float32), np.array([0]))
+    assert np.allclose(gradient, [[-ratio * advantage * (3 - m) if flows else 0.0, 0.0]], rtol=1e-3, atol=1e-4)
+
+
+def test_under_the_held_noise_each_pair_has_its_own_ratio() -> None:
+    state = layered()
+    state.noise = NOISE
+    pairs = pairs_of([[2, 1]] * 2, [[3.0, 2.0], [2.5, 2.0]], [[2.0, 2.0]] * 2)
+    pairs = dataclasses.replace(pairs, row=np.array([0, 1]))
+    advantage = np.array([1.0, 3.0], dtype=np.float32)
+    pull = Gaussian(credit="step").pull(state, trajectories([[1.0]], [[1]]), pairs, advantage)
+    gradient = pull(np.array([[2.0, 2.0]], dtype=np.float32), np.array([1]))  # r = 1
+    assert np.allclose(gradient, [[-3 * 0.5, 0.0]], atol=1e-4)
+
+
+@pytest.mark.parametrize(
     ("settings", "frozen", "weight"),
     [({}, False, [[0.5, 8.0]]), ({"divergence": "plain"}, False, None), ({}, True, None)],
 )
