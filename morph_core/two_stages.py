@@ -10,13 +10,16 @@ from torch import Tensor, nn
 
 from morph_core.control import Batch, Control
 from morph_core.design import DesignSpace
-from morph_core.networks import LARGEST_STD, LOG_SQRT_2PI, SMALLEST_STD, Critic, minibatches, mlp
+from morph_core.networks import LARGEST_STD, SMALLEST_STD, Critic, log_normal, minibatches, mlp
 from morph_core.parts import Ppo, Schedule
 from morph_core.rollout import Rollout, advantages
 from morph_core.task import Task
 
 if TYPE_CHECKING:
     from morph_core.state import State
+
+ROUNDING = 1e-9
+"""Share of a parameter's range by which designs differ that are the same but for rounding."""
 
 
 def design_of(space: DesignSpace, p: np.ndarray) -> np.ndarray:
@@ -34,7 +37,7 @@ def mapped(space: DesignSpace, phi: np.ndarray) -> np.ndarray:
 class DesignPolicy(nn.Module):
     """Policy of the first stage: a normal distribution of the step from `start` in the mapped space.
 
-    What it sees, the initial design, is the same in every episode.
+    What it sees, the initial design in the mapped space, is the same in every episode.
     """
 
     seen: Tensor
@@ -46,11 +49,11 @@ class DesignPolicy(nn.Module):
         self.mean = mlp(len(space), hidden, len(space), nn.Tanh, rng)
         last: Any = self.mean[-1]
         nn.init.orthogonal_(last.weight, 0.01, generator=rng)
-        nn.init.zeros_(last.bias)
         self.log_std = nn.Parameter(torch.full((len(space),), math.log(std)))
         start = torch.from_numpy(mapped(space, space.initial))
         self.register_buffer("seen", start.float())
         self.register_buffer("start", start)
+        self.lead_to(space, space.initial)
 
     @property
     def std(self) -> Tensor:
@@ -62,8 +65,11 @@ class DesignPolicy(nn.Module):
         with torch.no_grad():
             return design_of(space, self.start.numpy() + self.mean(self.seen).numpy())
 
-    def move_to(self, space: DesignSpace, phi: np.ndarray) -> None:
-        """Begin steps elsewhere, so that the mean step leads to phi (d,)."""
+    def lead_to(self, space: DesignSpace, phi: np.ndarray) -> None:
+        """Let steps begin elsewhere unless the mean step leads to phi (d,), so that it does."""
+        off = (self.mean_design(space) - phi) / (space.hi - space.lo)
+        if np.abs(off).max() < ROUNDING:
+            return
         with torch.no_grad():
             self.start.copy_(torch.from_numpy(mapped(space, phi)) - self.mean(self.seen))
 
@@ -74,9 +80,8 @@ class DesignPolicy(nn.Module):
             return mean + self.std.numpy() * rng.standard_normal((count, len(mean)), dtype=np.float32)
 
     def log_prob(self, step: Tensor, free: Tensor) -> Tensor:
-        """Return the log probability (B,) of steps (B, d) in the entries that are `free` (d,), 1 or 0."""
-        std = self.std
-        return ((-0.5 * ((step - self.mean(self.seen)) / std) ** 2 - torch.log(std) - LOG_SQRT_2PI) * free).sum(-1)
+        """Return the log probability (B,) of steps (B, d) in the entries that are `free`, a mask (d,)."""
+        return log_normal(step[:, free], self.mean(self.seen)[free], self.std[free])
 
 
 class TwoStageCritic(Critic):
@@ -101,7 +106,7 @@ class TwoStageBatch(Batch):
     """Steps of both stages: the rows of the control stage come first, then one row for each episode's design."""
 
     step: Tensor  # (N, d)
-    free: Tensor  # (d,) 1 where an entry of the design may move, 0 where it is locked
+    free: Tensor  # (d,) bool: which entries of the design may move
     step_log_prob: Tensor  # (N,)
     design_advantage: Tensor  # (N,) standardised
     design_target: Tensor  # (N,)
@@ -119,13 +124,10 @@ class TwoStageControl(Control):
         self, task: Task, ppo: Ppo, schedule: Schedule, hidden: int, weights: torch.Generator, design_std: float,
         balanced: bool,
     ) -> None:  # fmt: skip
-        self._design_std, self._balanced = design_std, balanced
+        self._balanced = balanced
+        # Made once: it stays where policy and critic start afresh.
+        self.design_policy = DesignPolicy(task, hidden, design_std, weights)
         super().__init__(task, ppo, schedule, hidden, weights, sees_phi=True)
-
-    def start_afresh(self, weights: torch.Generator) -> None:
-        """Make all networks and the optimiser as they are before anything is learnt."""
-        self.design_policy = DesignPolicy(self._task, self._hidden, self._design_std, weights)
-        super().start_afresh(weights)
 
     def _new_critic(self, weights: torch.Generator) -> TwoStageCritic:
         return TwoStageCritic(self._task, self._hidden, weights)
@@ -147,7 +149,7 @@ class TwoStageControl(Control):
             values = np.zeros((len(alive) + 1, episodes))
             values[0] = float(self.critic.of_design_stage(self.design_policy.seen))
             values[1:][alive] = self.critic(control.observation, control.time).numpy()
-            log_prob = self.design_policy.log_prob(torch.from_numpy(step), torch.from_numpy(free.astype(np.float32)))
+            log_prob = self.design_policy.log_prob(torch.from_numpy(step), torch.from_numpy(free))
         through = replace(
             rollout,
             reward=np.concatenate([np.zeros((1, episodes)), rollout.reward]),
@@ -165,13 +167,12 @@ class TwoStageControl(Control):
             of_design, of_control = together[:episodes], together[episodes:]
         return TwoStageBatch(
             **vars(replace(control, advantage=of_control)),
-            step=torch.from_numpy(step), free=torch.from_numpy(free.astype(np.float32)), step_log_prob=log_prob,
+            step=torch.from_numpy(step), free=torch.from_numpy(free), step_log_prob=log_prob,
             design_advantage=of_design, design_target=target,
         )  # fmt: skip
 
     def improve(self, batch: Batch, age: int, rng: np.random.Generator) -> None:
         """Take the gradient steps of one iteration over both stages, and keep the policy's std below its limit."""
-        assert isinstance(batch, TwoStageBatch)
         ppo = self._ppo
         for _ in range(ppo.epochs):
             for index in minibatches(len(batch), ppo.minibatches, rng):
@@ -183,7 +184,7 @@ class TwoStageControl(Control):
                 self.optimizer.step()
         self.policy.limit_std(self._schedule.geometric(ppo.std, ppo.std_end, age))
 
-    def _loss(self, batch: TwoStageBatch, index: Tensor) -> Tensor:
+    def _loss(self, batch: Batch, index: Tensor) -> Tensor:
         """Return PPO's loss, the mean over rows of either stage."""
         rows, clip = len(batch.time), self._ppo.clip_coef
         i, design = index[index < rows], index[index >= rows] - rows
@@ -200,7 +201,7 @@ class TwoStageControl(Control):
                 value - batch.design_target[design],
             ]
         )
-        entropy = self.policy.log_std.sum() + (self.design_policy.log_std * batch.free).sum()
+        entropy = self.policy.log_std.sum() + self.design_policy.log_std[batch.free].sum()
         return 0.5 * (value_error**2).mean() - surrogate - self._ppo.entropy_coef * entropy
 
     def learn_both(self, state: "State", rollout: Rollout, step: np.ndarray, iteration: int) -> None:

@@ -3,11 +3,11 @@
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
+from msgspec import Meta
 
-from morph_core.config import Positive
 from morph_core.exploration import run_trajectories
 from morph_core.method import Method
 from morph_core.protocol import Progress
@@ -41,7 +41,7 @@ class Transform2Act(Method):
     mean step leads to where the design was moved. A design that can't be built is drawn back towards phi until it can.
     """
 
-    design_std: Positive = 0.1
+    design_std: Annotated[float, Meta(ge=0.02, le=2.0)] = 0.1
     """Standard deviation of the design's step at the start, in the mapped space where the bounds are -1 and 1."""
     balanced: bool = False
     """Whether the design's advantage is the undiscounted return less the value, and each stage's advantages are
@@ -64,8 +64,7 @@ class Transform2Act(Method):
             if not isinstance(control, TwoStageControl):
                 raise ValueError("the method transform2act needs the policies that it made before the first iteration")
             head = control.design_policy
-            if not np.array_equal(head.mean_design(space), state.phi):
-                head.move_to(space, state.phi)
+            head.lead_to(space, state.phi)
             state.set_learning_rates(self, iteration)
             step = head.draw(self.trajectories, state.rng)
             designs = design_of(space, head.start.numpy() + step)
@@ -78,5 +77,5 @@ class Transform2Act(Method):
                 continue
             control.learn_both(state, rollout, step[rollout.kept], iteration)
             sigma = float((designs.std(0) / space.scale)[space.free].mean()) if space.free.any() else 0.0
-            state.phi = nearest_buildable(task, state.phi, control.design_policy.mean_design(space))
+            state.phi = nearest_buildable(task, state.phi, head.mean_design(space))
             yield state.advance(iteration, rollout, design_sigma=sigma)
