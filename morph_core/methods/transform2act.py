@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -43,9 +43,10 @@ class Transform2Act(Method):
 
     design_std: Annotated[float, Meta(ge=0.02, le=2.0)] = 0.1
     """Standard deviation of the design's step at the start, in the mapped space where the bounds are -1 and 1."""
-    balanced: bool = False
-    """Whether the design's advantage is the undiscounted return less the value, and each stage's advantages are
-    standardised apart, as BodyGen (Lu et al. 2025) repairs the credit of designs."""
+    credit: Literal["gae", "balanced"] = "gae"
+    """Rule by which designs are credited: `gae` lets advantages go straight through both stages, as the original does;
+    with `balanced` a design's advantage is the undiscounted return less the value, and each stage's advantages are
+    standardised apart, as BodyGen (Lu et al. 2025) has it."""
 
     name: ClassVar[str] = "transform2act"
     title: ClassVar[str] = "each episode's first action is its φ, one PPO learns design and control"
@@ -54,7 +55,9 @@ class Transform2Act(Method):
     def control(self, task: Task, weights: "torch.Generator") -> "TwoStageControl":
         from morph_core.two_stages import TwoStageControl
 
-        return TwoStageControl(task, self.ppo, self.schedule, self.hidden, weights, self.design_std, self.balanced)
+        return TwoStageControl(
+            task, self.ppo, self.schedule, self.hidden, weights, self.design_std, self.credit == "balanced"
+        )
 
     def iterations(self, task: Task, state: "State") -> Iterator[Progress]:
         from morph_core.two_stages import TwoStageControl, design_of
