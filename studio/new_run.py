@@ -23,7 +23,8 @@ def prepare_run(
     runs: Path,
     *,
     task: str,
-    method: str = "morph",
+    preset: str | None = None,
+    method: str | None = None,
     seed: int = 0,
     iterations: int = 100,
     settings: Mapping[str, object] | None = None,
@@ -31,10 +32,13 @@ def prepare_run(
     parameters: Sequence[Parameter] | None = None,
     parent: Parent | None = None,
 ) -> RunFolder:
-    """Create the folder of a new run, ready for a trainer; raise ValueError that says what is allowed."""
+    """Create the folder of a new run, ready for a trainer; raise ValueError that says what is allowed.
+
+    `settings` are laid over those of the `preset`, if one is named, and those over what was found to work for the task.
+    """
     try:
         chosen = make_task(task, task_options)
-        configured = make_method(method, chosen, settings)
+        configured = make_method(method, chosen, settings, preset)
     except (TypeError, OverflowError) as error:  # a list where a number belongs, 10**400 where a float does
         raise ValueError(f"a setting of {task} has the wrong type or size: {error}") from error
     seed, iterations = limits.seed(seed), limits.iterations(iterations)
@@ -43,13 +47,13 @@ def prepare_run(
         space = _edited(space, parameters)
     chosen.check_buildable(space.initial)
     revision, dirty = git_state()
-    base = new_run_id(task, method, seed)
+    base = new_run_id(task, configured.name, seed)
     record = RunRecord(
         format=FORMAT,
         id=base,
         task=task,
         task_options=dict(task_options or {}),
-        method=method,
+        method=configured.name,
         seed=seed,
         iterations=iterations,
         config=recorded(configured),
