@@ -33,14 +33,12 @@ PRESETS: Mapping[str, Preset] = {
     for preset in (
         Preset(
             "studio",
-            "Today's defaults: designs around φ are tried on Hw-Phy, and no gradient is projected.",
+            "Today's defaults: designs around φ are tried on Hw-Phy, no gradient is projected.",
             "morph",
         ),
         Preset(
             "paper",
-            "Algorithm 1 as the paper has it: trajectories in the proxy's world, CMA-ES on the divergence, and the "
-            "task's gradient projected where it conflicts with the hardware's. On the hands, which can't be simulated "
-            "in the proxy's world, designs are tried on Hw-Phy.",
+            "Algorithm 1: trajectories in the proxy's world (of the hands: on Hw-Phy), CMA-ES, projection.",
             "morph",
             # phi has to be frozen on success: among episodes that all succeed, ranking moves it at random.
             {"exploration": "gaussian", "search": "cma", "projection": "one_sided", "freeze_success": 0.8},

@@ -59,14 +59,14 @@ class StartPanel:
             self.method = gui.add_dropdown("method", list(METHODS), hint=_methods_hint())
             self.preset = gui.add_dropdown("preset", list(PRESETS), hint="One word for a whole set of settings.")
             self.meaning = gui.add_html("")
-            self.seed = gui.add_number(
-                "seed", 0, min=0, max=limits.LARGEST_SEED, step=1, hint="The same seed gives the same run."
-            )
             self.iterations = gui.add_number(
                 "iterations", _usual_iterations(task), min=1, max=limits.MAX_ITERATIONS, step=1,
                 hint="Each samples trajectories, learns from them, and searches for the next design.",
             )  # fmt: skip
             self.start = gui.add_button("Start", color="green", icon=viser.Icon.PLAYER_PLAY)
+            self.seed = gui.add_number(
+                "seed", 0, min=0, max=limits.LARGEST_SEED, step=1, hint="The same seed gives the same run."
+            )
             self.settings = SettingsForm(gui)
             self.source = gui.add_html("", visible=False)
             self.bring = gui.add_upload_button(

@@ -37,7 +37,9 @@ def test_the_preset_paper_is_algorithm_1() -> None:
     assert method.freeze_success == 0.8
 
 
-@given(projection=st.sampled_from(["none", "one_sided", "as_printed"]), alpha=st.floats(0, 10), pairs=st.integers(1, 99))
+@given(
+    projection=st.sampled_from(["none", "one_sided", "as_printed"]), alpha=st.floats(0, 10), pairs=st.integers(1, 99)
+)
 def test_what_is_asked_for_is_laid_over_the_preset(projection: str, alpha: float, pairs: int) -> None:
     asked = {"projection": projection, "alpha": alpha, "search.pairs": pairs}
     found = flattened(recorded(make_method("morph", make_task("reacher"), asked, "paper")))

@@ -150,7 +150,7 @@ def test_a_preset_is_told_and_taken(served: Served) -> None:
         ({"task": "reacher", "settings": {"alpha": "1"}}, "alpha must be a number"),
         ({"task": "reacher", "settings": {"trajectories": 7}}, "trajectories must be a multiple of 2"),
         ({"task": "reacher", "task_options": {"tunnel": ["zigzag"]}}, "choose from: zigzag, paper"),
-        ({"task": "reacher", "preset": "letter"}, 'unknown preset \"letter\"; choose from: studio, paper'),
+        ({"task": "reacher", "preset": "letter"}, 'unknown preset "letter"; choose from: studio, paper'),
         ({"task": "reacher", "preset": "paper", "method": "direct"}, "one of the method morph, not of direct"),
         ({"task": "reacher", "iterations": 0}, "iterations"),
         ({"task": "reacher", "seed": -1}, "seed"),
