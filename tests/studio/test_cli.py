@@ -140,7 +140,8 @@ def test_the_help_of_train_lists_the_tasks() -> None:
 def test_the_command_line_does_not_load_torch() -> None:
     code = (
         "import sys, studio.cli.train, studio.cli.evaluate, studio.cli.export, studio.cli.runs, studio.cli.serve;"
-        "import studio.cli.verify, studio.cli.study, studio.cli.import_design, studio.export.bundle; sys.exit('torch' in sys.modules)"
+        "import studio.cli.verify, studio.cli.study, studio.cli.import_design, studio.export.bundle;"
+        "sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=ENVIRONMENT, timeout=60).returncode == 0
 
