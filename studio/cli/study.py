@@ -196,7 +196,7 @@ def _follow(directory: Path, study: Study, launcher: Launcher, *, quiet: bool) -
         view.show(standings, launcher.slots, last=True)
     standings = reader.read(launcher.states(directory, names))
     if presses:
-        return standings, 130
+        return standings, 0 if launcher.stays else 130
     return standings, 0 if all(run.status == "finished" for run in standings) else 1
 
 
@@ -308,7 +308,9 @@ def _conclude(directory: Path, study: Study, standings: list[RunStanding], as_js
     console = Console()
     if not console.is_terminal:
         console.width = 200  # a pipe has no width: names stay whole
-    console.print(Text(f"{_counts(standings)}; solved: success ≥ {study.level:g}, sampled"), soft_wrap=True)
+    console.print(
+        Text(f"{_counts(standings)}; solved: sampled success ≥ {study.level:g}; medians of the seeds"), soft_wrap=True
+    )
     console.print(table_of(study, standings))
     for variant in by_variant(study, standings):
         for failure in variant.failures:
@@ -322,7 +324,7 @@ def table_of(study: Study, standings: Sequence[RunStanding]) -> Table:
     table = Table(box=None, pad_edge=False)
     for heading in ("task", "method"):
         table.add_column(heading, overflow="fold")
-    for heading in ("finished", "solved", "median steps", "median CPU", "success at the end", "deterministic"):
+    for heading in ("finished", "solved", "steps to solve", "CPU to solve", "success at the end", "deterministic"):
         table.add_column(heading, justify="right")
     for line in by_variant(study, standings):
         steps, cpu = line.median_env_steps, line.median_cpu_seconds

@@ -50,7 +50,7 @@ def as_word(value: object) -> str:
 
 @given(st.none() | labels, st.sampled_from(["morph", "direct"]), st.dictionaries(names, values, max_size=4))
 def test_a_method_word_says_label_method_and_settings(label: str | None, method: str, chosen: dict) -> None:
-    word = ",".join([method, *(f"{name}={as_word(value)}" for name, value in settings.items())])
+    word = ",".join([method, *(f"{name}={as_word(value)}" for name, value in chosen.items())])
     found = parse_variant(word if label is None else f"{label}:{word}")
     assert found == Variant(word if label is None else label, method, chosen)
 
