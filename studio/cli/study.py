@@ -49,14 +49,15 @@ REPORT_MODULE = "studio.study.report"
 class StudyArguments:
     """Compare methods over tasks and seeds at equal environment steps, and report what came of it.
 
-    A method V is METHOD, or METHOD,setting=value,... with settings under the names that `morph-studio train` gives
-    them; LABEL:V names it in tables and figures. The same words again go on where a study was.
+    A method V is METHOD or PRESET, or one of them with settings behind commas, METHOD,setting=value,... under the
+    names that `morph-studio train` gives them; LABEL:V names it in tables and figures. The same words again go on
+    where a study was.
     """
 
     tasks: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TASK...")] = ()
     """Tasks to compare on; TASK,option=value,... sets options."""
     methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="V...")] = ()
-    """Methods to compare, such as: morph slow:morph,alpha=.1,search=drift direct."""
+    """Methods to compare, such as: paper morph slow:morph,alpha=.1,search=drift direct."""
     seeds: Annotated[str, tyro.conf.arg(metavar="SEEDS")] = "0-9"
     """Seeds of every method on every task."""
     env_steps: Annotated[float | None, tyro.conf.arg(metavar="N")] = None
