@@ -1,0 +1,109 @@
+"""Whether the task and the hardware agree: the cosine of both gradients; the proxy's loss and the search cost."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from studio.study.report.claims import NEGATIVE_SHARE
+from studio.study.report.drawing import COLOURS, FAINT, Drawing, new_figure
+from studio.study.report.figures.learning import MILLION, POINTS, short
+from studio.study.report.results import CurveRow, Results, chosen
+
+_PANELS = 4
+_ENDS = 1e-9
+
+
+def cosines(results: Results) -> Iterator[Drawing]:
+    """Yield for each task a column of two panels for each variant with a proxy: the cosine, and its negative share."""
+    for task in results.tasks:
+        drawn = _variants_with(results, task, "cosine_negative")
+        for number, part in enumerate(_parts(drawn)):
+            figure, axes = new_figure(2, len(part), 1.9, max(5.0, 2.4 * len(part)), sharex="col", sharey="row")
+            for (upper, lower), variant in zip(axes.T, part, strict=True):
+                rows = chosen(results.curves, task, variant)
+                _spread(upper, rows, "cosine", COLOURS[0])
+                _spread(lower, rows, "cosine_negative", COLOURS[1], 100)
+                upper.axhline(0, color=FAINT, linewidth=1)
+                upper.set_title(short(variant, 26), loc="left")
+                lower.axhline(100 * NEGATIVE_SHARE, color=FAINT, linestyle=":", linewidth=1.4)
+                upper.set_ylim(-1.05, 1.05)
+                lower.set_ylim(-3, 103)
+            axes[0, 0].set_ylabel("cosine of g_task, g_hw")
+            axes[1, 0].set_ylabel("negative [% of steps]")
+            figure.supxlabel("environment steps [million]", fontsize=9)
+            yield Drawing(
+                _numbered(f"cosine-{task}", number),
+                f"{task}: cosine of both gradients",
+                "Above: the mean cosine over ψ of an iteration's gradient steps; below: the share of these steps in which it "
+                "is negative. Lines: median over seeds; bands: the middle half. Dotted: the paper's 64 % (mouse).",
+                figure,
+            )
+
+
+def losses(results: Results) -> Iterator[Drawing]:
+    """Yield for each task a panel for each variant with a proxy: its loss and the search cost."""
+    for task in results.tasks:
+        drawn = _variants_with(results, task, "divergence")
+        for number, part in enumerate(_parts(drawn)):
+            figure, axes = new_figure(1, len(part), 2.6, max(5.0, 2.4 * len(part)), sharex=True)
+            for panel, variant in zip(axes[0], part, strict=True):
+                rows = chosen(results.curves, task, variant)
+                _spread(panel, rows, "divergence", COLOURS[0], label="loss of the proxy, D", log=True)
+                _spread(panel, rows, "search_cost", COLOURS[1], label="search cost", dash=(0, (5, 2)), log=True)
+                panel.set_yscale("log")
+                panel.set_title(short(variant, 26), loc="left")
+            axes[0, 0].set_ylabel("mean squared distance")
+            axes[0, 0].legend(loc="best", handlelength=3.2)
+            figure.supxlabel("environment steps [million]", fontsize=9)
+            yield Drawing(
+                _numbered(f"loss-{task}", number),
+                f"{task}: loss of the proxy and search cost",
+                "The divergence of Hw-Phy with the present φ from the proxy, and that of the design that was found from the "
+                "relabelled data; each in the metric of its variant, so that only the shapes compare across panels. Lines: "
+                "median over seeds; bands: the middle half.",
+                figure,
+            )
+
+
+def _variants_with(results: Results, task: str, measure: str) -> list[str]:
+    return [
+        variant
+        for variant in results.variants
+        if any(getattr(row, measure) is not None for row in chosen(results.curves, task, variant))
+    ]
+
+
+def _parts(variants: list[str]) -> Iterator[list[str]]:
+    for start in range(0, len(variants), _PANELS):
+        yield variants[start : start + _PANELS]
+
+
+def _numbered(name: str, number: int) -> str:
+    return f"{name}-{number + 1}" if number else name
+
+
+def _spread(
+    panel: Any, rows: Sequence[CurveRow], measure: str, colour: str, factor: float = 1, label: str = "",
+    dash: object = "-", log: bool = False,
+) -> None:  # fmt: skip
+    """Draw the median over runs and the middle half; on a logarithmic axis nothing falls below `_ENDS`."""
+    curves = []
+    for run in {row.run: None for row in rows}:
+        points = [
+            (r.env_steps / MILLION, factor * value)
+            for r in rows
+            if r.run == run and (value := getattr(r, measure)) is not None
+        ]
+        if points:
+            curves.append(np.array(points).T)
+    if not curves:
+        return
+    grid = np.linspace(min(x[0] for x, _ in curves), max(x[-1] for x, _ in curves), POINTS)
+    values = np.array([np.interp(grid, x, y, left=np.nan, right=np.nan) for x, y in curves])
+    known = np.isfinite(values).sum(0) >= max(1, len(curves) / 2)
+    low, middle, high = np.nanpercentile(values[:, known], [25, 50, 75], axis=0)
+    if log:
+        low, middle, high = (np.maximum(part, _ENDS) for part in (low, middle, high))
+    panel.fill_between(grid[known], low, high, color=colour, alpha=0.2, linewidth=0)
+    panel.plot(grid[known], middle, color=colour, linestyle=dash, label=label)

@@ -1,0 +1,123 @@
+"""Success and return over environment steps, by variant and by seed."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from studio.study.report.drawing import FAINT, INK, Drawing, Look, looks, new_figure
+from studio.study.report.results import CurveRow, Results, chosen
+
+POINTS = 60
+"""Points of a median curve."""
+MILLION = 1e6
+_MEASURES = (
+    ("sampled_success", "success, sampled policy [% of episodes]", 100),
+    ("sampled_return", "return, sampled policy [reward]", 1),
+)
+_PANELS = 4
+"""Largest number of panels side by side."""
+
+
+def learning_curves(results: Results) -> Iterator[Drawing]:
+    """Yield the comparison of a task: median over seeds and the middle half of them."""
+    style = looks(results.variants)
+    for task in results.tasks:
+        curves = {variant: _by_run(chosen(results.curves, task, variant)) for variant in results.variants}
+        drawn = {variant: runs for variant, runs in curves.items() if runs}
+        if not drawn:
+            continue
+        figure, axes = new_figure(1, 2, 3.6)
+        for panel, (measure, label, factor) in zip(axes[0], _MEASURES, strict=True):
+            for variant, runs in drawn.items():
+                _band(panel, runs, measure, factor, style[variant], f"{variant} ({len(runs)})")
+            panel.set(xlabel="environment steps [million]", ylabel=label)
+            panel.margins(x=0.01)
+        axes[0, 0].set_ylim(-3, 103)
+        _level_line(axes[0, 0], results)
+        _legend(figure, axes[0, 0], len(drawn))
+        yield Drawing(
+            f"learning-{task}",
+            f"{task}: success and return over environment steps",
+            "Evaluations on Hw-Phy with the present φ. Lines: median over seeds, their number in brackets; bands: the middle "
+            "half of the seeds. Dotted: the level from which a run counts as solved. A curve goes as far as at least half "
+            "of its seeds have come.",
+            figure,
+        )
+
+
+def seed_curves(results: Results) -> Iterator[Drawing]:
+    """Yield a panel for each variant, with a line for each seed."""
+    style = looks(results.variants)
+    for task in results.tasks:
+        curves = {variant: _by_run(chosen(results.curves, task, variant)) for variant in results.variants}
+        drawn = {variant: runs for variant, runs in curves.items() if runs}
+        if not drawn:
+            continue
+        columns = min(_PANELS, len(drawn))
+        figure, axes = new_figure(-(-len(drawn) // columns), columns, 2.2, sharex=True, sharey=True)
+        failed = {row.run for row in results.runs if row.status == "failed"}
+        for panel, (variant, runs) in zip(axes.flat, drawn.items(), strict=False):
+            for run, rows in runs.items():
+                x, y = _points(rows, "sampled_success", 100)
+                panel.plot(x, y, color=style[variant].colour, linewidth=0.9, alpha=0.75)
+                if run in failed and len(x):
+                    panel.plot(x[-1], y[-1], "x", color=INK, markersize=7, markeredgewidth=1.8)
+            _level_line(panel, results)
+            panel.set(ylim=(-3, 103))
+            panel.set_title(short(variant), loc="left")
+        for panel in axes.flat[len(drawn) :]:
+            panel.set_axis_off()
+        figure.supxlabel("environment steps [million]", fontsize=9)
+        figure.supylabel("success, sampled policy [% of episodes]", fontsize=9)
+        yield Drawing(
+            f"seeds-{task}",
+            f"{task}: every seed",
+            "Success of the sampled policy on Hw-Phy, a line for each seed. Dotted: the level from which a run counts as "
+            "solved. A cross marks where a run failed.",
+            figure,
+        )
+
+
+def short(label: str, longest: int = 30) -> str:
+    """Return a label that fits above a panel."""
+    return label if len(label) <= longest else f"{label[: longest - 1]}…"
+
+
+def _by_run(rows: Sequence[CurveRow]) -> dict[str, list[CurveRow]]:
+    runs: dict[str, list[CurveRow]] = {}
+    for row in rows:
+        if row.sampled_success is not None:
+            runs.setdefault(row.run, []).append(row)
+    return runs
+
+
+def _points(rows: Sequence[CurveRow], measure: str, factor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return environment steps in millions and the measure, (n,) each."""
+    points = [(r.env_steps / MILLION, factor * value) for r in rows if (value := getattr(r, measure)) is not None]
+    x, y = np.array(points).reshape(-1, 2).T
+    return x, y
+
+
+def _band(panel: Any, runs: dict[str, list[CurveRow]], measure: str, factor: float, look: Look, label: str) -> None:
+    curves = [points for rows in runs.values() if len((points := _points(rows, measure, factor))[0])]
+    if not curves:
+        return
+    grid = np.linspace(min(x[0] for x, _ in curves), max(x[-1] for x, _ in curves), POINTS)
+    values = np.array([np.interp(grid, x, y, left=np.nan, right=np.nan) for x, y in curves])  # (seeds, POINTS)
+    known = np.isfinite(values).sum(0) >= max(1, len(curves) / 2)
+    low, middle, high = np.nanpercentile(values[:, known], [25, 50, 75], axis=0)
+    panel.fill_between(grid[known], low, high, color=look.colour, alpha=0.16, linewidth=0)
+    panel.plot(
+        grid[known], middle, color=look.colour, linestyle=look.dash, label=label,
+        marker=look.marker, markevery=(5, 12), markersize=4.5,
+    )  # fmt: skip
+
+
+def _level_line(panel: Any, results: Results) -> None:
+    panel.axhline(100 * results.study.level, color=FAINT, linestyle=":", linewidth=1.2, zorder=0)
+
+
+def _legend(figure: Any, panel: Any, entries: int) -> None:
+    handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(entries, 4), handlelength=3.2)
