@@ -3,7 +3,7 @@
 import contextlib
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
@@ -19,7 +19,7 @@ from studio.study.plan import PlannedRun, Study, read_study
 ENDS = 5
 """Iterations whose mean is the first and the last value of a curve."""
 
-Row = TypeVar("Row", "RunRow", "CurveRow", "DesignRow")
+Row = TypeVar("Row", "RunRow", "CurveRow", "DesignRow", "SettingRow")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,16 +142,28 @@ class DesignRow:
     """Value in the design of the best evaluation."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class SettingRow:
+    """One setting of a variant on a task, as its runs have it."""
+
+    task: str
+    variant: str
+    setting: str
+    """Dotted name."""
+    value: str
+
+
 @dataclass(frozen=True)
 class Results:
     """All rows of a study, and what they are rows of."""
 
     study: Study
-    runs: list[RunRow]
-    curves: list[CurveRow]
-    designs: list[DesignRow]
-    records: dict[str, RunRecord]
-    """run.json of each run that has one, by the run's name."""
+    runs: list[RunRow] = field(default_factory=list)
+    curves: list[CurveRow] = field(default_factory=list)
+    designs: list[DesignRow] = field(default_factory=list)
+    settings: list[SettingRow] = field(default_factory=list)
+    records: dict[str, RunRecord] = field(default_factory=dict)
+    """run.json of each run that could be read, by the run's name."""
 
     @property
     def tasks(self) -> list[str]:
@@ -171,10 +183,9 @@ class Results:
         """Return the runs of a variant on a task that count in a comparison."""
         return [row for row in self.runs_of(task, variant) if row.has_ended]
 
-    def config(self, task: str, variant: str) -> dict[str, object]:
+    def config(self, task: str, variant: str) -> dict[str, str]:
         """Return the settings of a variant on a task under their dotted names; empty before its first run."""
-        records = (self.records.get(row.run) for row in self.runs_of(task, variant))
-        return next((flattened(record.config) for record in records if record), {})
+        return {row.setting: row.value for row in chosen(self.settings, task, variant)}
 
 
 def chosen(rows: Iterable[Row], task: str, variant: str) -> list[Row]:
@@ -185,12 +196,14 @@ def chosen(rows: Iterable[Row], task: str, variant: str) -> list[Row]:
 def read_results(directory: Path) -> Results:
     """Read every run of a study as it is now; raise ValueError if the folder holds no study."""
     study = read_study(directory)
-    results = Results(study, [], [], [], {})
+    results = Results(study)
     for planned in study.runs:
         history, status, reason = _open(directory / planned.run)
         if history is None:
             results.runs.append(_unread(study, planned, status, reason))
             continue
+        if not results.config(planned.task, planned.variant):
+            results.settings.extend(_setting_rows(planned, history.record))
         results.records[planned.run] = history.record
         results.runs.append(_run_row(study, planned, history, status, reason))
         results.curves.extend(_curve_rows(planned, history))
@@ -312,6 +325,17 @@ def _design_rows(planned: PlannedRun, history: History) -> list[DesignRow]:
         )
         for p, start, now, top in values
     ]
+
+
+def _setting_rows(planned: PlannedRun, record: RunRecord) -> list[SettingRow]:
+    return [
+        SettingRow(task=planned.task, variant=planned.variant, setting=name, value=_word(value))
+        for name, value in flattened(record.config).items()
+    ]
+
+
+def _word(value: object) -> str:
+    return value if isinstance(value, str) else msgspec.json.encode(value).decode()
 
 
 def _names(planned: PlannedRun) -> dict:
