@@ -16,6 +16,8 @@ from studio.study.plan import PlannedRun, PlannedTask, Study, Variant, plan_stud
 
 STEPS = 8000
 """Environment steps of an iteration."""
+PACE = 12.0
+"""How suddenly success rises, per budget."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +89,14 @@ def _write_run(
     log.append(StateChanged(status="running", iteration=0))
     rng = np.random.default_rng([planned.seed, len(made.label)])
     goal = space.clip(space.initial + rng.normal(0, 1, len(space)) * space.scale)
-    late, pace = rng.normal(0, 0.05), 4.0
+    late = rng.normal(0, 0.05)
     learns = made.method != "no_hw_opt"
     proxy = made.method == "morph"
     whole = iterations if ended == "finished" else iterations // 2
     for i in range(1, whole + 1):
         share = i / iterations
-        way = 1 / (1 + np.exp(-pace * 3 * (share - made.rises_at - late)))
-        phi = (space.initial + learns * way * (goal - space.initial)).tolist() if share < 0.9 else phi
+        way = 1 / (1 + np.exp(-PACE * (min(share, 0.9) - made.rises_at - late)))  # phi stands still at last
+        phi = (space.initial + learns * way * (goal - space.initial)).tolist()
         success = float(np.clip(made.top * way * 1.02 + rng.normal(0, 0.01), 0, 1))
         steps, cpu = i * STEPS, 0.4 * i
         fall = float(np.exp(-3 * share) * np.exp(rng.normal(0, 0.1)))

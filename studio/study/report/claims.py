@@ -66,7 +66,9 @@ def solves(rows: list[RunRow], level: float) -> bool:
 
 def _counted(rows: list[RunRow], level: float) -> str:
     scores = [row.score for row in rows]
-    return f"{solved(rows, level)} of {len(rows)} seeds end at {level:g} or more, median success {np.median(scores):.2f}"
+    return (
+        f"{solved(rows, level)} of {len(rows)} seeds end at {level:g} or more, median success {np.median(scores):.2f}"
+    )
 
 
 def _subject(task: str, *variants: str) -> str:
@@ -380,7 +382,7 @@ CLAIMS: tuple[Claim, ...] = (
         "pen-design",
         "For the pen one finger grows to press, and an unused one shortens.",
         "V-A, Fig. 5",
-        "A finger is longer and another one shorter than at the start in more than half of the seeds that solve the task.",
+        "One finger is longer and one shorter than at the start in more than half of the seeds that solve the task.",
         _designs("pen_press", one_finger_shortens, "one longer and one shorter"),
     ),
     Claim(

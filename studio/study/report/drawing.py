@@ -5,9 +5,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
-from lxml import etree
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,6 +27,10 @@ _SVG = "{http://www.w3.org/2000/svg}"
 _HREF = "{http://www.w3.org/1999/xlink}href"
 _PRESENTATION = re.compile(r"([\w-]+):\s*([^;]+)")
 _LONG = re.compile(r"-?\d+\.\d{2,}(?:e-?\d+)?")
+
+
+Share = bool | Literal["none", "all", "row", "col"]
+"""What panels have in common: an axis of all, of a row, of a column."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,9 @@ def looks(variants: Sequence[str]) -> dict[str, Look]:
     }
 
 
-def new_figure(rows: int, columns: int, height: float, width: float = PAGE_WIDTH, **options: object) -> tuple:
+def new_figure(
+    rows: int, columns: int, height: float, width: float = PAGE_WIDTH, sharex: Share = False, sharey: Share = False
+) -> tuple["Figure", Any]:
     """Return a figure of axes (rows, columns), `height` inches high for each row."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -66,10 +72,10 @@ def new_figure(rows: int, columns: int, height: float, width: float = PAGE_WIDTH
     mpl.rcParams.update(_STYLE)
     figure = Figure(figsize=(width, rows * height), layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+    return figure, figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
 
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "font.size": 9,
     "font.family": "sans-serif",
@@ -96,12 +102,13 @@ _STYLE = {
 }
 
 
-def save(drawing: Drawing, folder: Path) -> str:
-    """Write the figure as SVG and as PNG; return it as SVG for a page, in the colours of the page's text."""
+def save(drawing: Drawing, folder: Path, *, pixels: bool) -> str:
+    """Write the figure as SVG and, with `pixels`, as PNG; return it as SVG for a page, in the colours of its text."""
     import matplotlib as mpl
 
     folder.mkdir(parents=True, exist_ok=True)
-    drawing.figure.savefig(folder / f"{drawing.name}.png", dpi=DOTS_PER_INCH)
+    if pixels:
+        drawing.figure.savefig(folder / f"{drawing.name}.png", dpi=DOTS_PER_INCH)
     buffer = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": drawing.name}):  # ids that no other figure of the page has
         drawing.figure.savefig(buffer, format="svg", metadata={"Date": None})

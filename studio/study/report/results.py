@@ -1,11 +1,12 @@
 """What the runs of a study came to, as rows of plain numbers: one per run, per iteration, and per design parameter."""
 
 import contextlib
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -345,7 +346,7 @@ def _names(planned: PlannedRun) -> dict:
 def _moved(history: History) -> list[bool]:
     """Return for each iteration whether phi moved in it."""
     path = [history.initial_phi.tolist(), *(p.phi for p in history.progress)]
-    return [now != before for before, now in zip(path, path[1:], strict=False)]
+    return [now != before for before, now in itertools.pairwise(path)]
 
 
 def _last_evaluation(evaluations: Sequence[Evaluation]) -> Evaluation | None:
@@ -370,7 +371,8 @@ def _rank_correlation(progress: Sequence[Progress]) -> float | None:
     both = [(loss, cost) for loss, cost in pairs if loss is not None and cost is not None]
     if len(both) < 2 * ENDS or np.ptp(both, axis=0).min() == 0:
         return None
-    return float(spearmanr(both).statistic)
+    correlation: Any = spearmanr(both)
+    return float(correlation.statistic)
 
 
 def _mean(values: Sequence[float]) -> float | None:

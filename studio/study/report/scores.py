@@ -73,7 +73,7 @@ def improvement(ours: Strata, theirs: Strata) -> Estimate:
 
 
 def _larger(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the share of all pairs in which x (..., n) is larger than y (..., m): the statistic of Mann and Whitney."""
+    """Return the share of all pairs in which x (..., n) is larger than y (..., m), as Mann and Whitney."""
     pairs = x[..., :, None], y[..., None, :]
     return ((pairs[0] > pairs[1]) + 0.5 * (pairs[0] == pairs[1])).mean((-2, -1))
 

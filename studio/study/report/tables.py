@@ -37,7 +37,8 @@ def write_tables(results: Results, folder: Path) -> None:
 def read_tables(folder: Path) -> Results:
     """Return what a report's folder says of its study; a table that is not there is empty."""
     study = read_study(folder)
-    return Results(study, *(_rows_of(kind, folder / f"{name}.csv") for name, kind in TABLES.items()))
+    rows = {name: _rows_of(kind, folder / f"{name}.csv") for name, kind in TABLES.items()}
+    return Results(study, rows["runs"], rows["curves"], rows["phi"], rows["settings"])
 
 
 def _rows_of(kind: type, path: Path) -> list[Any]:

@@ -41,14 +41,17 @@ def _aggregates(results: Results, name: str, tasks: list[str], strata: dict[str,
     axes[0, -1].axvline(0.5, color=FAINT, linestyle=":", linewidth=1.2)
     axes[0, 0].set_yticks(range(len(strata)), [short(variant) for variant in strata])
     axes[0, 0].invert_yaxis()
-    figure.supxlabel("success of the sampled policy at the end [share of episodes]; last panel: probability", fontsize=9)
+    figure.supxlabel(
+        "success of the sampled policy at the end [share of episodes]; last panel: probability", fontsize=9
+    )
     words = tasks[0] if len(tasks) == 1 else "all tasks"
     return Drawing(
         f"aggregate-{name}",
         f"{words}: aggregate scores",
-        "Interquartile mean, median, mean and optimality gap (smaller is better) of the success at the end over seeds, with "
-        "95 % intervals by stratified bootstrap; a run that failed counts as 0. The last panel: the probability that a "
-        f"run of {reference} ends with more success than one of the variant of the row, a tie counted half.",
+        "Interquartile mean, median, mean and optimality gap (smaller is better) of the success at the end over "
+        "seeds, with 95 % intervals by stratified bootstrap; a run that failed counts as 0. The last panel: the "
+        f"probability that a run of {reference} ends with more success than one of the row's variant, ties counted "
+        "half.",
         figure,
     )
 

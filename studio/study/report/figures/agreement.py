@@ -7,7 +7,7 @@ import numpy as np
 
 from studio.study.report.claims import NEGATIVE_SHARE
 from studio.study.report.drawing import COLOURS, FAINT, Drawing, new_figure
-from studio.study.report.figures.learning import MILLION, POINTS, short
+from studio.study.report.figures.learning import by_run, middle_half, points, short
 from studio.study.report.results import CurveRow, Results, chosen
 
 _PANELS = 4
@@ -35,8 +35,9 @@ def cosines(results: Results) -> Iterator[Drawing]:
             yield Drawing(
                 _numbered(f"cosine-{task}", number),
                 f"{task}: cosine of both gradients",
-                "Above: the mean cosine over ψ of an iteration's gradient steps; below: the share of these steps in which it "
-                "is negative. Lines: median over seeds; bands: the middle half. Dotted: the paper's 64 % (mouse).",
+                "Above: the mean cosine over ψ of an iteration's gradient steps; below: the share of these steps in "
+                "which it is negative. Lines: median over seeds; bands: the middle half. Dotted: the paper's 64 % "
+                "(mouse).",
                 figure,
             )
 
@@ -59,8 +60,8 @@ def losses(results: Results) -> Iterator[Drawing]:
             yield Drawing(
                 _numbered(f"loss-{task}", number),
                 f"{task}: loss of the proxy and search cost",
-                "The divergence of Hw-Phy with the present φ from the proxy, and that of the design that was found from the "
-                "relabelled data; each in the metric of its variant, so that only the shapes compare across panels. Lines: "
+                "The divergence of Hw-Phy with the present φ from the proxy, and that of the design that was found from "
+                "the relabelled data, each in the metric of its variant: only shapes compare across panels. Lines: "
                 "median over seeds; bands: the middle half.",
                 figure,
             )
@@ -88,22 +89,11 @@ def _spread(
     dash: object = "-", log: bool = False,
 ) -> None:  # fmt: skip
     """Draw the median over runs and the middle half; on a logarithmic axis nothing falls below `_ENDS`."""
-    curves = []
-    for run in {row.run: None for row in rows}:
-        points = [
-            (r.env_steps / MILLION, factor * value)
-            for r in rows
-            if r.run == run and (value := getattr(r, measure)) is not None
-        ]
-        if points:
-            curves.append(np.array(points).T)
-    if not curves:
+    band = middle_half([points(some, measure, factor) for some in by_run(rows).values()])
+    if band is None:
         return
-    grid = np.linspace(min(x[0] for x, _ in curves), max(x[-1] for x, _ in curves), POINTS)
-    values = np.array([np.interp(grid, x, y, left=np.nan, right=np.nan) for x, y in curves])
-    known = np.isfinite(values).sum(0) >= max(1, len(curves) / 2)
-    low, middle, high = np.nanpercentile(values[:, known], [25, 50, 75], axis=0)
+    x, low, middle, high = band
     if log:
         low, middle, high = (np.maximum(part, _ENDS) for part in (low, middle, high))
-    panel.fill_between(grid[known], low, high, color=colour, alpha=0.2, linewidth=0)
-    panel.plot(grid[known], middle, color=colour, linestyle=dash, label=label)
+    panel.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
+    panel.plot(x, middle, color=colour, linestyle=dash, label=label)

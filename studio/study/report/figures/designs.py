@@ -34,8 +34,8 @@ def _panels(results: Results, task: str, unit: str, rows: list[DesignRow]) -> Dr
     return Drawing(
         f"phi-{task}-{unit}",
         f"{task}: φ of every seed against its box, in {unit}",
-        "Grey: the box of each design parameter; black bar: where it starts; a mark for each seed where it ends, filled if "
-        "the run ended at the study's level or above, hollow if not.",
+        "Grey: the box of each design parameter; black bar: where it starts; a mark for each seed where it ends, "
+        "filled if the run ended at the study's level or above, hollow if not.",
         figure,
     )
 

@@ -40,8 +40,8 @@ def time_to_solve(results: Results) -> Iterator[Drawing]:
         yield Drawing(
             f"time-{task}",
             f"{task}: time to solve",
-            f"When the sampled policy first succeeded in {results.study.level:.0%} of an evaluation's episodes: a mark for each "
-            "seed that did, the median of these as a bar, and beside the name how many did.",
+            f"When the sampled policy first succeeded in {results.study.level:.0%} of an evaluation's episodes: a mark "
+            "for each seed that did, the median of these as a bar, and beside the name how many did.",
             figure,
         )
 
@@ -77,8 +77,8 @@ def spent(results: Results) -> Iterator[Drawing]:
         yield Drawing(
             f"cost-{task}",
             f"{task}: what a run costs",
-            "Left: CPU time of each seed, evaluations included, median as a bar. Right: steps by what they were for; the "
-            "budget counts those of trajectories alone.",
+            "Left: CPU time of each seed, evaluations included, median as a bar. Right: steps by what they were for; "
+            "the budget counts those of trajectories alone.",
             figure,
         )
 

@@ -23,7 +23,7 @@ def learning_curves(results: Results) -> Iterator[Drawing]:
     """Yield the comparison of a task: median over seeds and the middle half of them."""
     style = looks(results.variants)
     for task in results.tasks:
-        curves = {variant: _by_run(chosen(results.curves, task, variant)) for variant in results.variants}
+        curves = {variant: _evaluated(results, task, variant) for variant in results.variants}
         drawn = {variant: runs for variant, runs in curves.items() if runs}
         if not drawn:
             continue
@@ -33,15 +33,17 @@ def learning_curves(results: Results) -> Iterator[Drawing]:
                 _band(panel, runs, measure, factor, style[variant], f"{variant} ({len(runs)})")
             panel.set(xlabel="environment steps [million]", ylabel=label)
             panel.margins(x=0.01)
+            panel.locator_params(axis="x", nbins=6)
+            panel.set_xlim(left=0)
         axes[0, 0].set_ylim(-3, 103)
         _level_line(axes[0, 0], results)
         _legend(figure, axes[0, 0], len(drawn))
         yield Drawing(
             f"learning-{task}",
             f"{task}: success and return over environment steps",
-            "Evaluations on Hw-Phy with the present φ. Lines: median over seeds, their number in brackets; bands: the middle "
-            "half of the seeds. Dotted: the level from which a run counts as solved. A curve goes as far as at least half "
-            "of its seeds have come.",
+            "Evaluations on Hw-Phy with the present φ. Lines: median over seeds, their number in brackets; bands: the "
+            "middle half of the seeds. Dotted: the level from which a run counts as solved. A curve goes as far as at "
+            "least half of its seeds have come.",
             figure,
         )
 
@@ -50,7 +52,7 @@ def seed_curves(results: Results) -> Iterator[Drawing]:
     """Yield a panel for each variant, with a line for each seed."""
     style = looks(results.variants)
     for task in results.tasks:
-        curves = {variant: _by_run(chosen(results.curves, task, variant)) for variant in results.variants}
+        curves = {variant: _evaluated(results, task, variant) for variant in results.variants}
         drawn = {variant: runs for variant, runs in curves.items() if runs}
         if not drawn:
             continue
@@ -59,7 +61,7 @@ def seed_curves(results: Results) -> Iterator[Drawing]:
         failed = {row.run for row in results.runs if row.status == "failed"}
         for panel, (variant, runs) in zip(axes.flat, drawn.items(), strict=False):
             for run, rows in runs.items():
-                x, y = _points(rows, "sampled_success", 100)
+                x, y = points(rows, "sampled_success", 100)
                 panel.plot(x, y, color=style[variant].colour, linewidth=0.9, alpha=0.75)
                 if run in failed and len(x):
                     panel.plot(x[-1], y[-1], "x", color=INK, markersize=7, markeredgewidth=1.8)
@@ -73,8 +75,8 @@ def seed_curves(results: Results) -> Iterator[Drawing]:
         yield Drawing(
             f"seeds-{task}",
             f"{task}: every seed",
-            "Success of the sampled policy on Hw-Phy, a line for each seed. Dotted: the level from which a run counts as "
-            "solved. A cross marks where a run failed.",
+            "Success of the sampled policy on Hw-Phy, a line for each seed. Dotted: the level from which a run counts "
+            "as solved. A cross marks where a run failed.",
             figure,
         )
 
@@ -84,32 +86,44 @@ def short(label: str, longest: int = 30) -> str:
     return label if len(label) <= longest else f"{label[: longest - 1]}…"
 
 
-def _by_run(rows: Sequence[CurveRow]) -> dict[str, list[CurveRow]]:
+def by_run(rows: Sequence[CurveRow]) -> dict[str, list[CurveRow]]:
+    """Return the iterations of each run."""
     runs: dict[str, list[CurveRow]] = {}
     for row in rows:
-        if row.sampled_success is not None:
-            runs.setdefault(row.run, []).append(row)
+        runs.setdefault(row.run, []).append(row)
     return runs
 
 
-def _points(rows: Sequence[CurveRow], measure: str, factor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return environment steps in millions and the measure, (n,) each."""
-    points = [(r.env_steps / MILLION, factor * value) for r in rows if (value := getattr(r, measure)) is not None]
-    x, y = np.array(points).reshape(-1, 2).T
+def _evaluated(results: Results, task: str, variant: str) -> dict[str, list[CurveRow]]:
+    return by_run([row for row in chosen(results.curves, task, variant) if row.sampled_success is not None])
+
+
+def middle_half(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, ...] | None:
+    """Return x, the lower quartile, the median and the upper quartile of curves, as far as half of them go."""
+    known = [(x, y) for x, y in curves if len(x)]
+    if not known:
+        return None
+    grid = np.linspace(min(x[0] for x, _ in known), max(x[-1] for x, _ in known), POINTS)
+    values = np.array([np.interp(grid, x, y, left=np.nan, right=np.nan) for x, y in known])  # (seeds, POINTS)
+    enough = np.isfinite(values).sum(0) >= max(1, len(known) / 2)
+    return grid[enough], *np.nanpercentile(values[:, enough], [25, 50, 75], axis=0)
+
+
+def points(rows: Sequence[CurveRow], measure: str, factor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return environment steps in millions and the measure, (n,) each, of the iterations that have it."""
+    known = [(r.env_steps / MILLION, factor * value) for r in rows if (value := getattr(r, measure)) is not None]
+    x, y = np.array(known).reshape(-1, 2).T
     return x, y
 
 
 def _band(panel: Any, runs: dict[str, list[CurveRow]], measure: str, factor: float, look: Look, label: str) -> None:
-    curves = [points for rows in runs.values() if len((points := _points(rows, measure, factor))[0])]
-    if not curves:
+    band = middle_half([points(rows, measure, factor) for rows in runs.values()])
+    if band is None:
         return
-    grid = np.linspace(min(x[0] for x, _ in curves), max(x[-1] for x, _ in curves), POINTS)
-    values = np.array([np.interp(grid, x, y, left=np.nan, right=np.nan) for x, y in curves])  # (seeds, POINTS)
-    known = np.isfinite(values).sum(0) >= max(1, len(curves) / 2)
-    low, middle, high = np.nanpercentile(values[:, known], [25, 50, 75], axis=0)
-    panel.fill_between(grid[known], low, high, color=look.colour, alpha=0.16, linewidth=0)
+    x, low, middle, high = band
+    panel.fill_between(x, low, high, color=look.colour, alpha=0.16, linewidth=0)
     panel.plot(
-        grid[known], middle, color=look.colour, linestyle=look.dash, label=label,
+        x, middle, color=look.colour, linestyle=look.dash, label=label,
         marker=look.marker, markevery=(5, 12), markersize=4.5,
     )  # fmt: skip
 

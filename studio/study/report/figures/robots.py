@@ -79,8 +79,8 @@ def _panels(task: str, drawn: Sequence[tuple[str, Sketch]]) -> Drawing:
     return Drawing(
         f"designs-{task}",
         f"{task}: designs before and after",
-        "The initial design in its start posture, and of each variant the run in the middle of its seeds (by success, then "
-        "return) with the design of its last recorded episode, at that episode's end. All at one scale.",
+        "The initial design in its start posture, and of each variant the run in the middle of its seeds (by success, "
+        "then return) with the design of its last recorded episode, at that episode's end. All at one scale.",
         figure,
     )
 
@@ -95,7 +95,9 @@ def _paint(panel: Any, shape: Shape) -> None:
         case Disc(centre=centre, radius=radius, colour=colour):
             panel.add_patch(Circle(tuple(centre), radius, facecolor=colour / 255, linewidth=0))
         case Faces(corners=corners, colours=colours):
-            panel.add_collection(PolyCollection(list(corners), facecolors=colours / 255, edgecolors="face", linewidths=0.3))
+            panel.add_collection(
+                PolyCollection(list(corners), facecolors=colours / 255, edgecolors="face", linewidths=0.3)
+            )
 
 
 def _outline(ends: np.ndarray, radius: float) -> np.ndarray:
