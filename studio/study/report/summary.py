@@ -26,10 +26,10 @@ COLUMNS = (
     Column("success, sampled [%]", "Median over seeds of the success at the end, lowest and highest in brackets."),
     Column("success, mean action [%]", "The same of the deterministic policy."),
     Column("IQM [%]", "Interquartile mean of the sampled success and its 95 % interval; a failed run counts as 0."),
-    Column("solved first [M steps]", "Median of the environment steps, in millions, at the first evaluation at the level."),
+    Column("solved first [M steps]", "Median of the environment steps when an evaluation first reached the level."),
     Column("solved first [CPU-s]", "The same in CPU seconds of one core."),
     Column("whole run [CPU-s]", "Median CPU time of a run, evaluations included."),
-    Column("relabelling, search [M steps]", "Mean steps of Hw-Phy outside of trajectories, in millions."),
+    Column("relabelling, search [M steps]", "Mean steps of Hw-Phy outside of trajectories, in millions."),
     Column("cosine < 0 [%]", "Median share of gradient steps with a negative cosine, while φ moves."),
     Column("not ended / failed", "Runs that have not ended yet, and runs that failed."),
 )  # fmt: skip

@@ -60,8 +60,8 @@ def losses(results: Results) -> Iterator[Drawing]:
             yield Drawing(
                 _numbered(f"loss-{task}", number),
                 f"{task}: loss of the proxy and search cost",
-                "The divergence of Hw-Phy with the present φ from the proxy, and that of the design that was found from "
-                "the relabelled data, each in the metric of its variant: only shapes compare across panels. Lines: "
+                "The divergence of Hw-Phy with the present φ from the proxy, and that of the design found from the "
+                "relabelled data, each in the metric of its variant: only shapes compare across panels. Lines: "
                 "median over seeds; bands: the middle half.",
                 figure,
             )
