@@ -107,6 +107,10 @@ def save(drawing: Drawing, folder: Path, *, pixels: bool) -> str:
     import matplotlib as mpl
 
     folder.mkdir(parents=True, exist_ok=True)
+    engine = drawing.figure.get_layout_engine()
+    if engine is not None:  # laid out once: each time costs as much as the drawing
+        engine.execute(drawing.figure)
+        drawing.figure.set_layout_engine(None)
     if pixels:
         drawing.figure.savefig(folder / f"{drawing.name}.png", dpi=DOTS_PER_INCH)
     buffer = io.BytesIO()
