@@ -74,7 +74,7 @@ def test_a_report_is_written_once_for_what_has_not_changed(report: LiveReport, w
 
 
 def test_a_run_that_writes_brings_a_newer_report_and_the_older_one_stays_until_then(
-    report: LiveReport, writers: Writers, study: Path
+    report: LiveReport, study: Path
 ) -> None:
     report.state()
     assert written(report, 1)
@@ -103,6 +103,7 @@ def test_reports_keep_their_distance(
 
 
 def test_nobody_looking_means_nobody_writing(report: LiveReport, writers: Writers, study: Path) -> None:
+    report.file("report.html")
     change(study)
     assert writers.started == []
 
@@ -153,7 +154,7 @@ def test_only_files_of_the_report_are_given_out(report: LiveReport) -> None:
 def test_closing_removes_what_was_written_and_ends_the_process(study: Path) -> None:
     began: list[subprocess.Popen[bytes]] = []
 
-    def slow(directory: Path, into: Path) -> subprocess.Popen[bytes]:
+    def slow(*_: Path) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-c", "import time; time.sleep(60)"]
         began.append(subprocess.Popen(command, stderr=subprocess.PIPE))
         return began[0]
