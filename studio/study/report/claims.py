@@ -81,7 +81,7 @@ def _too_few(task: str, variant: str, rows: list[RunRow]) -> Finding:
 
 
 def _variants_of(results: Results, method: str) -> list[str]:
-    return [variant.label for variant in results.study.variants if variant.method == method]
+    return [label for label in results.variants if results.method(label) == method]
 
 
 def _on_tasks(results: Results, method: str, tasks: tuple[str, ...]) -> Iterator[tuple[str, str, list[RunRow]]]:
@@ -212,7 +212,7 @@ def cosine_is_negative(results: Results) -> Iterator[Finding]:
                 continue
             middle = float(np.median(shares))
             verdict = "held" if abs(middle - NEGATIVE_SHARE) <= NEGATIVE_TOLERANCE else "not held"
-            measured = f"median {middle:.0%}, seeds {min(shares):.0%} to {max(shares):.0%}"
+            measured = f"median {100 * middle:.0f} %, seeds {100 * min(shares):.0f} to {100 * max(shares):.0f} %"
             yield Finding(verdict, _subject(task, variant), measured, len(shares))
 
 
@@ -359,8 +359,8 @@ CLAIMS: tuple[Claim, ...] = (
         "cosine-is-negative",
         "The cosine of the two gradients is negative on about 64 % of the steps (mouse).",
         "V-B, Fig. 9 A",
-        f"Over the iterations in which phi moves, the median over seeds lies within {NEGATIVE_TOLERANCE:.0%} points of "
-        f"{NEGATIVE_SHARE:.0%}.".replace("% points", " percentage points"),
+        "Over the iterations in which phi moves, the median over seeds lies within "
+        f"{100 * NEGATIVE_TOLERANCE:g} percentage points of {100 * NEGATIVE_SHARE:g} %.",
         cosine_is_negative,
     ),
     Claim(

@@ -20,6 +20,8 @@ INK = "#1c2733"
 """Colour of text and axes; in a page it becomes that of the page's text."""
 FAINT = "#8a929c"
 DOTS_PER_INCH = 150
+PIXELS_PER_POINT = 1.75
+"""Scale of a figure in a page, where there is room for it."""
 PAGE_WIDTH = 9.6
 """Width of a figure in inches."""
 
@@ -170,8 +172,9 @@ def for_page(svg: str, label: str) -> str:
     ground = root.find(f".//{_SVG}path[@fill='#ffffff']")
     if ground is not None:
         ground.getparent().remove(ground)
-    for name in ("width", "height", "version"):
+    for name in ("height", "version"):
         root.attrib.pop(name, None)
+    root.set("width", f"{PIXELS_PER_POINT * float(root.get('viewBox').split()[2]):.0f}")
     root.set("role", "img")
     root.set("aria-label", label)
     return etree.tostring(root, encoding="unicode").replace(INK, "currentColor")

@@ -104,7 +104,7 @@ def _task(results: Results, task: PlannedTask) -> _Task:
 
 
 def _line(row: RunRow, design: list[DesignRow]) -> _Line:
-    of = f" of {row.end_episodes}" if row.end_episodes else ""
+    of = f"/{row.end_episodes}" if row.end_episodes else ""
     sampled, deterministic = row.sampled_successes, row.deterministic_successes
     cells = [
         f"{number(row.sampled_success, 3)}{f' ({sampled}{of})' if sampled is not None else ''}",

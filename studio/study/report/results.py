@@ -176,6 +176,11 @@ class Results:
         """Labels of the variants, in the plan's order."""
         return [variant.label for variant in self.study.variants]
 
+    def method(self, variant: str) -> str:
+        """Return the method of a variant: that of its runs, or the planned one before they have any."""
+        planned = next(one.method for one in self.study.variants if one.label == variant)
+        return next((row.method for row in self.runs if row.variant == variant and row.method), planned)
+
     def runs_of(self, task: str, variant: str) -> list[RunRow]:
         """Return the runs of a variant on a task, by seed."""
         return chosen(self.runs, task, variant)

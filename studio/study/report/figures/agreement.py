@@ -31,6 +31,8 @@ def cosines(results: Results) -> Iterator[Drawing]:
                 lower.set_ylim(-3, 103)
             axes[0, 0].set_ylabel("cosine of g_task, g_hw")
             axes[1, 0].set_ylabel("negative [% of steps]")
+            for panel in axes.flat:
+                panel.locator_params(axis="x", nbins=4)
             figure.supxlabel("environment steps [million]", fontsize=9)
             yield Drawing(
                 _numbered(f"cosine-{task}", number),
@@ -52,10 +54,13 @@ def losses(results: Results) -> Iterator[Drawing]:
                 rows = chosen(results.curves, task, variant)
                 _spread(panel, rows, "divergence", COLOURS[0], label="loss of the proxy, D", log=True)
                 _spread(panel, rows, "search_cost", COLOURS[1], label="search cost", dash=(0, (5, 2)), log=True)
-                panel.set_yscale("log")
+                _logarithmic(panel)
                 panel.set_title(short(variant, 26), loc="left")
             axes[0, 0].set_ylabel("mean squared distance")
-            axes[0, 0].legend(loc="best", handlelength=3.2)
+            handles, labels = axes[0, 0].get_legend_handles_labels()
+            figure.legend(handles, labels, loc="outside upper right", ncols=2, handlelength=3.2)
+            for panel in axes.flat:
+                panel.locator_params(axis="x", nbins=4)
             figure.supxlabel("environment steps [million]", fontsize=9)
             yield Drawing(
                 _numbered(f"loss-{task}", number),
@@ -65,6 +70,15 @@ def losses(results: Results) -> Iterator[Drawing]:
                 "median over seeds; bands: the middle half.",
                 figure,
             )
+
+
+def _logarithmic(panel: Any) -> None:
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    panel.set_yscale("log")
+    panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=8))
+    panel.yaxis.set_minor_locator(NullLocator())
+    panel.yaxis.set_major_formatter("{x:g}")
 
 
 def _variants_with(results: Results, task: str, measure: str) -> list[str]:

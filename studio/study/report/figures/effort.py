@@ -31,7 +31,9 @@ def time_to_solve(results: Results) -> Iterator[Drawing]:
             for height, (variant, rows) in enumerate(drawn.items()):
                 _dots(panel, height, [v * factor for r in rows if (v := getattr(r, name)) is not None], style[variant])
             panel.grid(axis="y", visible=False)
-            panel.set_xlim(left=0)
+        longest = max((row.cpu_seconds for rows in drawn.values() for row in rows), default=0)
+        axes[0, 0].set_xlim(0, 1.03 * results.study.env_steps / MILLION)
+        axes[0, 1].set_xlim(0, 1.03 * max(longest, 1))
         axes[0, 0].set_xlabel("environment steps [million]")
         axes[0, 1].set_xlabel("CPU time [s of one core]")
         labels = [f"{short(v, 26)}  {_solved(rows)} of {len(rows)}" for v, rows in drawn.items()]
@@ -41,7 +43,8 @@ def time_to_solve(results: Results) -> Iterator[Drawing]:
             f"time-{task}",
             f"{task}: time to solve",
             f"When the sampled policy first succeeded in {results.study.level:.0%} of an evaluation's episodes: a mark "
-            "for each seed that did, the median of these as a bar, and beside the name how many did.",
+            "for each seed that did, the median of these as a bar, and beside the name how many did. The axes end "
+            "with the budget and with the longest run.",
             figure,
         )
 

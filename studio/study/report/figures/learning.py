@@ -71,7 +71,7 @@ def seed_curves(results: Results) -> Iterator[Drawing]:
         for panel in axes.flat[len(drawn) :]:
             panel.set_axis_off()
         figure.supxlabel("environment steps [million]", fontsize=9)
-        figure.supylabel("success, sampled policy [% of episodes]", fontsize=9)
+        figure.supylabel("success [% of episodes]", fontsize=9)
         yield Drawing(
             f"seeds-{task}",
             f"{task}: every seed",
