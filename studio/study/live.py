@@ -23,7 +23,7 @@ from studio.study.plan import StudyError, read_study
 
 EVERY = 20.0
 """Fewest seconds between the starts of two processes."""
-SHARE = 0.2
+SHARE = 0.3
 """Largest share of the time in which such a process is at work, so that the runs keep the processor."""
 
 Fingerprint = tuple[tuple[str, int, int], ...]

@@ -11,6 +11,8 @@ import pytest
 from lxml import etree, html
 
 from morph_core.protocol import Status
+from studio.cli import run
+from studio.cli import study as cli
 from studio.study import report
 from studio.study.plan import StudyError, Variant, parse_seeds, parse_task, parse_variant, plan_study, read_study
 from studio.study.report import write_report, write_tables_into
@@ -295,3 +297,42 @@ def test_the_tables_of_the_documents_are_those_of_the_committed_reports(folder: 
         found += count
     assert found
     assert read_study(folder).runs
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_the_report_or_the_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, document = tmp_path / "small", tmp_path / "page.md"
+    write_study(study, MADE[3:4], [0], iterations=2)
+    assert run(["study", "--report", str(study)]) == 0
+    assert capsys.readouterr().out == f"report: {study / 'report' / 'report.html'}\n"
+    document.write_text("<!-- study small: summary reacher -->\n<!-- end of table -->\n")
+    assert run(["study", "--report", str(study), "--table", str(document)]) == 0
+    assert capsys.readouterr().out == f"1 table written to {document}\n"
+    assert "| direct | 1 of 1 |" in document.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--report {} --seeds 1", "--report DIR goes alone, or with --table or --json"),
+        ("--status {} --table x.md", "--status DIR goes alone, or with --json"),
+        ("--report {}", "holds no study: there is no study.json in it"),
+        ("--report {} --table x.md", "holds no study: there is no study.json in it"),
+    ],
+)
+def test_the_command_refuses_what_it_cannot_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: str, said: str
+) -> None:
+    assert run(["study", *words.format(tmp_path).split()]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_study_that_is_over_has_come_to_what_it_has_without_a_report_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_study(tmp_path / "study", MADE[3:4], [0], iterations=2)
+    monkeypatch.setattr(report, "NEEDED", ("no_such_package",))
+    cli._try_report(tmp_path / "study")
+    assert 'pip install "morph-studio[study]"' in capsys.readouterr().err
