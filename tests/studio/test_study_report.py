@@ -280,7 +280,7 @@ def test_a_slim_figure_keeps_what_is_seen() -> None:
     (use,) = root.iter(f"{SVG}use")
     assert (use.get("fill"), use.get("stroke"), use.get("href")) == ("#ff0000", "none", "#m1")
     (path,) = root.iter(f"{SVG}path")
-    assert (path.get("d"), path.get("id")) == ("M 0 0 L 1.2 -7", "m1")
+    assert (path.get("d"), path.get("id")) == ("M0 0L1.2 -7", "m1")
     assert not [*root.iter(f"{SVG}metadata", f"{SVG}style", f"{SVG}g")]
 
 

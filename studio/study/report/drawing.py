@@ -1,6 +1,7 @@
 """How figures look: colours, lines and markers of the variants, and SVG that is small and takes a page's colours."""
 
 import io
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ PAGE_WIDTH = 9.6
 _SVG = "{http://www.w3.org/2000/svg}"
 _HREF = "{http://www.w3.org/1999/xlink}href"
 _PRESENTATION = re.compile(r"([\w-]+):\s*([^;]+)")
+_OWN = frozenset({"d", "x", "y", "id", "href", "transform", "points", "opacity", "width", "height"})
 _LONG = re.compile(r"-?\d+\.\d{2,}(?:e-?\d+)?")
 
 
@@ -145,8 +147,11 @@ def slim(svg: bytes) -> str:
             element.attrib.pop("id", None)
         for name in ("d", "x", "y", "transform", "points"):
             if "scale" not in element.get(name, "scale"):
-                element.set(name, _shortened(element.get(name)))
+                short = _shortened(element.attrib.pop(name))
+                if short:
+                    element.set(name, short)
     _drop_bare_groups(root)
+    _share_attributes(root)
     etree.cleanup_namespaces(root)
     return etree.tostring(root, encoding="unicode")
 
@@ -160,10 +165,31 @@ def _drop_bare_groups(root: etree._Element) -> None:
             above[place : place + 1] = list(group)
 
 
+def _share_attributes(root: etree._Element) -> None:
+    """Put neighbours that are drawn alike into a group that says once how."""
+    for parent in [*root.iter(f"{_SVG}svg", f"{_SVG}g")]:
+        for (_, shared), alike in itertools.groupby([*parent], _way_of_drawing):
+            siblings = [*alike]
+            if len(siblings) < 2 or not shared:
+                continue
+            group = etree.Element(f"{_SVG}g", dict(shared))
+            parent.insert(parent.index(siblings[0]), group)
+            for sibling in siblings:
+                for name, _ in shared:
+                    sibling.attrib.pop(name)
+                group.append(sibling)
+
+
+def _way_of_drawing(element: etree._Element) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Return what elements must have in common to share a group: their tag, and all but where and what they are."""
+    return element.tag, tuple((name, value) for name, value in element.attrib.items() if name not in _OWN)
+
+
 def _shortened(numbers: str) -> str:
     """Return numbers of a path with one digit behind the point: a tenth of a typographic point."""
     short = _LONG.sub(lambda found: f"{float(found[0]):.1f}".removesuffix(".0"), numbers)
-    return re.sub(r"\s+", " ", short).strip()
+    short = re.sub(r"rotate\(-?0 [^)]*\)", "", short)
+    return re.sub(r"\s*([A-Za-z,()])\s*", r"\1", re.sub(r"\s+", " ", short)).strip()
 
 
 def for_page(svg: str, label: str) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from studio.study.report.drawing import FAINT, Drawing, looks, new_figure
-from studio.study.report.figures.learning import short
+from studio.study.report.figures.learning import broken, short
 from studio.study.report.results import Results
 from studio.study.report.scores import AGGREGATES, Estimate, Strata, aggregates, improvement
 
@@ -34,7 +34,7 @@ def _aggregates(results: Results, name: str, tasks: list[str], strata: dict[str,
         for panel, estimate in zip(axes[0], estimates, strict=True):
             if panel is not axes[0, -1] or variant != reference:
                 _interval(panel, height, estimate, style[variant].colour, style[variant].marker)
-    for panel, title in zip(axes[0], (*AGGREGATES, f"P({short(reference, 14)} > …)"), strict=True):
+    for panel, title in zip(axes[0], (*AGGREGATES, f"P({broken(reference, 16)} > …)"), strict=True):
         panel.set(xlim=(-0.04, 1.04), xticks=[0, 0.5, 1])
         panel.set_title(title)
         panel.grid(axis="y", visible=False)

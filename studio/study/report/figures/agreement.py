@@ -7,7 +7,7 @@ import numpy as np
 
 from studio.study.report.claims import NEGATIVE_SHARE
 from studio.study.report.drawing import COLOURS, FAINT, Drawing, new_figure
-from studio.study.report.figures.learning import by_run, middle_half, points, short
+from studio.study.report.figures.learning import broken, by_run, middle_half, points
 from studio.study.report.results import CurveRow, Results, chosen
 
 _PANELS = 4
@@ -25,7 +25,7 @@ def cosines(results: Results) -> Iterator[Drawing]:
                 _spread(upper, rows, "cosine", COLOURS[0])
                 _spread(lower, rows, "cosine_negative", COLOURS[1], 100)
                 upper.axhline(0, color=FAINT, linewidth=1)
-                upper.set_title(short(variant, 26), loc="left")
+                upper.set_title(broken(variant, 26), loc="left")
                 lower.axhline(100 * NEGATIVE_SHARE, color=FAINT, linestyle=":", linewidth=1.4)
                 upper.set_ylim(-1.05, 1.05)
                 lower.set_ylim(-3, 103)
@@ -55,7 +55,7 @@ def losses(results: Results) -> Iterator[Drawing]:
                 _spread(panel, rows, "divergence", COLOURS[0], label="loss of the proxy, D", log=True)
                 _spread(panel, rows, "search_cost", COLOURS[1], label="search cost", dash=(0, (5, 2)), log=True)
                 _logarithmic(panel)
-                panel.set_title(short(variant, 26), loc="left")
+                panel.set_title(broken(variant, 26), loc="left")
             axes[0, 0].set_ylabel("mean squared distance")
             handles, labels = axes[0, 0].get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside upper right", ncols=2, handlelength=3.2)

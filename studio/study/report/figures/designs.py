@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from studio.study.report.drawing import FAINT, INK, Drawing, looks, new_figure
-from studio.study.report.figures.learning import short
+from studio.study.report.figures.learning import broken, show_ticks_below
 from studio.study.report.results import DesignRow, Results, chosen
 
 _PANELS = 3
@@ -27,9 +27,8 @@ def _panels(results: Results, task: str, unit: str, rows: list[DesignRow]) -> Dr
     arrived = {row.run for row in results.runs if row.ends_at(results.study.level)}
     for panel, variant in zip(axes.flat, drawn, strict=False):
         _panel(panel, chosen(rows, task, variant), names, arrived, style[variant].colour)
-        panel.set_title(short(variant), loc="left")
-    for panel in axes.flat[len(drawn) :]:
-        panel.set_axis_off()
+        panel.set_title(broken(variant, 36), loc="left")
+    show_ticks_below(axes, len(drawn))
     figure.supylabel(f"φ [{unit}]", fontsize=9)
     return Drawing(
         f"phi-{task}-{unit}",
@@ -47,9 +46,11 @@ def _panel(panel: Any, rows: list[DesignRow], names: list[str], arrived: set[str
             continue
         panel.bar(place, some[0].hi - some[0].lo, 0.72, some[0].lo, color=FAINT, alpha=0.18, linewidth=0)
         panel.plot([place - 0.36, place + 0.36], [some[0].initial] * 2, color=INK, linewidth=1.6)
-        for i, row in enumerate(some):
-            x = place + 0.5 * ((i + 0.5) / len(some) - 0.5)
-            face = colour if row.run in arrived else "none"
-            panel.plot(x, row.final, "o", markersize=4, color=colour, markerfacecolor=face, markeredgewidth=1)
+        marks = [(place + 0.5 * ((i + 0.5) / len(some) - 0.5), row) for i, row in enumerate(some)]
+        for face, filled in ((colour, True), ("none", False)):
+            of_these = [(x, row.final) for x, row in marks if (row.run in arrived) == filled]
+            if of_these:
+                x, y = zip(*of_these, strict=True)
+                panel.plot(x, y, "o", markersize=4, color=colour, markerfacecolor=face, markeredgewidth=1)
     panel.set_xticks(range(len(names)), [name.replace("_", " ") for name in names], rotation=35, ha="right")
     panel.grid(axis="x", visible=False)

@@ -36,7 +36,7 @@ def time_to_solve(results: Results) -> Iterator[Drawing]:
         axes[0, 1].set_xlim(0, 1.03 * max(longest, 1))
         axes[0, 0].set_xlabel("environment steps [million]")
         axes[0, 1].set_xlabel("CPU time [s of one core]")
-        labels = [f"{short(v, 26)}  {_solved(rows)} of {len(rows)}" for v, rows in drawn.items()]
+        labels = [f"{short(v)}  {_solved(rows)} of {len(rows)}" for v, rows in drawn.items()]
         axes[0, 0].set_yticks(range(len(drawn)), labels)
         axes[0, 0].set_ylim(len(drawn) - 0.5, -0.5)
         yield Drawing(

@@ -1,6 +1,7 @@
 """Success and return over environment steps, by variant and by seed."""
 
-from collections.abc import Iterator, Sequence
+import textwrap
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,13 +9,15 @@ import numpy as np
 from studio.study.report.drawing import FAINT, INK, Drawing, Look, looks, new_figure
 from studio.study.report.results import CurveRow, Results, chosen
 
-POINTS = 60
+POINTS = 50
 """Points of a median curve."""
 MILLION = 1e6
 _MEASURES = (
-    ("sampled_success", "success, sampled policy [% of episodes]", 100),
-    ("sampled_return", "return, sampled policy [reward]", 1),
+    ("sampled_success", "success [% of episodes]", 100),
+    ("sampled_return", "return [reward]", 1),
 )
+_LEGEND, _HANDLE = 125, 12
+"""Letters that fit into a line of a legend, and how many of them a line's sample takes."""
 _PANELS = 4
 """Largest number of panels side by side."""
 
@@ -27,7 +30,8 @@ def learning_curves(results: Results) -> Iterator[Drawing]:
         drawn = {variant: runs for variant, runs in curves.items() if runs}
         if not drawn:
             continue
-        figure, axes = new_figure(1, 2, 3.6)
+        columns = legend_columns(drawn)
+        figure, axes = new_figure(1, 2, 3.2 + 0.2 * -(-len(drawn) // columns))
         for panel, (measure, label, factor) in zip(axes[0], _MEASURES, strict=True):
             for variant, runs in drawn.items():
                 _band(panel, runs, measure, factor, style[variant], f"{variant} ({len(runs)})")
@@ -37,13 +41,14 @@ def learning_curves(results: Results) -> Iterator[Drawing]:
             panel.set_xlim(left=0)
         axes[0, 0].set_ylim(-3, 103)
         _level_line(axes[0, 0], results)
-        _legend(figure, axes[0, 0], len(drawn))
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, handlelength=3.2)
         yield Drawing(
             f"learning-{task}",
             f"{task}: success and return over environment steps",
-            "Evaluations on Hw-Phy with the present φ. Lines: median over seeds, their number in brackets; bands: the "
-            "middle half of the seeds. Dotted: the level from which a run counts as solved. A curve goes as far as at "
-            "least half of its seeds have come.",
+            "Evaluations of the sampled policy on Hw-Phy with the present φ. Lines: median over seeds, their number "
+            "in brackets; bands: the middle half of the seeds. Dotted: the level from which a run counts as solved. A "
+            "curve goes as far as at least half of its seeds have come.",
             figure,
         )
 
@@ -67,9 +72,8 @@ def seed_curves(results: Results) -> Iterator[Drawing]:
                     panel.plot(x[-1], y[-1], "x", color=INK, markersize=7, markeredgewidth=1.8)
             _level_line(panel, results)
             panel.set(ylim=(-3, 103))
-            panel.set_title(short(variant), loc="left")
-        for panel in axes.flat[len(drawn) :]:
-            panel.set_axis_off()
+            panel.set_title(broken(variant), loc="left")
+        show_ticks_below(axes, len(drawn))
         figure.supxlabel("environment steps [million]", fontsize=9)
         figure.supylabel("success [% of episodes]", fontsize=9)
         yield Drawing(
@@ -81,9 +85,30 @@ def seed_curves(results: Results) -> Iterator[Drawing]:
         )
 
 
-def short(label: str, longest: int = 30) -> str:
-    """Return a label that fits above a panel."""
-    return label if len(label) <= longest else f"{label[: longest - 1]}…"
+def legend_columns(labels: Collection[str]) -> int:
+    """Return how many columns of a legend fit below a figure that is as wide as a page."""
+    return max(1, min(4, len(labels), _LEGEND // (max(map(len, labels)) + _HANDLE)))
+
+
+def broken(label: str, width: int = 28) -> str:
+    """Return a label in lines that fit above a panel, broken behind its commas where it can be."""
+    spaced = label.replace(",", ", ")
+    lines = textwrap.wrap(spaced, width, max_lines=3, placeholder=" …", break_on_hyphens=False)
+    return "\n".join(line.replace(", ", ",") for line in lines)
+
+
+def short(label: str, longest: int = 44) -> str:
+    """Return a label that fits beside a row: what is left out is left out of its middle."""
+    half = (longest - 1) // 2
+    return label if len(label) <= longest else f"{label[:half]}…{label[-half:]}"
+
+
+def show_ticks_below(axes: Any, used: int) -> None:
+    """Show the ticks' labels below the lowest used panel of each column; hide the panels after the first `used`."""
+    for i, panel in enumerate(axes.flat):
+        panel.tick_params(labelbottom=used - axes.shape[1] <= i)
+        if i >= used:
+            panel.set_axis_off()
 
 
 def by_run(rows: Sequence[CurveRow]) -> dict[str, list[CurveRow]]:
@@ -130,8 +155,3 @@ def _band(panel: Any, runs: dict[str, list[CurveRow]], measure: str, factor: flo
 
 def _level_line(panel: Any, results: Results) -> None:
     panel.axhline(100 * results.study.level, color=FAINT, linestyle=":", linewidth=1.2, zorder=0)
-
-
-def _legend(figure: Any, panel: Any, entries: int) -> None:
-    handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(entries, 4), handlelength=3.2)

@@ -9,7 +9,7 @@ import numpy as np
 from morph_core.run_folder import RunFolder
 from studio.sketch import Disc, Faces, Rod, Shape, Sketch, sketch_of
 from studio.study.report.drawing import Drawing, new_figure
-from studio.study.report.figures.learning import short
+from studio.study.report.figures.learning import broken
 from studio.study.report.results import Results, RunRow
 from studio.viewer.take import Shot, make_take
 
@@ -24,7 +24,7 @@ def before_and_after(results: Results, directory: Path) -> Iterator[Drawing]:
         medians = {v: run for v in results.variants if (run := median_run(results.ended(task, v)))}
         sketches = [("initial design", _initial(results, task, medians.values()))]
         for variant, run in medians.items():
-            sketches.append((f"{short(variant, 22)}, seed {run.seed}", _final(results, directory, run)))
+            sketches.append((broken(f"{variant}, seed {run.seed}"), _final(results, directory, run)))
         drawn = [(title, sketch) for title, sketch in sketches if sketch]
         if len(drawn) > 1:
             yield _panels(task, drawn)
