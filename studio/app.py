@@ -29,12 +29,14 @@ from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.runs import runs_router
+from studio.api.study import study_router
 from studio.api.tasks import tasks_router
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
 from studio.export.bundle import Bundle, build_bundle
 from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
+from studio.study.live import LiveReport
 from studio.trainers import Reserve
 from studio.viewer import StartRequest, Viewer
 
@@ -101,7 +103,7 @@ def create_app(
     viewer: Callable[[viser.ViserServer, Runs], Shows] = make_viewer,
 ) -> FastAPI:
     """Return the application; `app.state` holds `access`, `runs` and, while it runs, `viser`."""
-    reserve = Reserve()
+    reserve, report = Reserve(), LiveReport(settings.runs)
     watched = runs or Runs(settings.runs, reserve.spawn)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
 
@@ -109,6 +111,7 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         watched.show_newest()
         with contextlib.ExitStack() as ends:
+            ends.callback(report.close)
             if runs is None:
                 ends.callback(reserve.close)
                 reserve.load()
@@ -141,6 +144,7 @@ def create_app(
         designs_router(watched, build_bundle),
         imports_router(watched),
         events_router(watched, stopping),
+        study_router(report),
         viewer_router(),
         docs_router(),
     ):
