@@ -17,12 +17,14 @@ import numpy as np
 import psutil
 
 from morph_core import durable, format_1, protocol
-from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Order, RunRecord, Status
+from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Launch, Order, RunRecord, Status
 
 HEARTBEAT_BYTES = 4096
 """The heartbeat is rewritten in place at this size, so that it needs no new block on a full disk."""
 LOST_AFTER = 10.0
 """Seconds without a heartbeat after which a run on another host counts as lost."""
+LAUNCH = "launch.json"
+"""File in a run folder that says by whom its trainer is started."""
 SAID_ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
 """Statuses by which a trainer says that it has ended."""
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
@@ -30,6 +32,10 @@ RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 class RunFolderError(ValueError):
     """A run folder that is missing, foreign, corrupt, or held by another trainer; says which and why."""
+
+
+class HeldError(RunFolderError):
+    """A run folder that another trainer holds; it will be free once that one has ended."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +120,13 @@ class RunFolder:
         """Return the last heartbeat, or None if there is none that can be read."""
         try:
             return protocol.decode_heartbeat((self.path / "heartbeat.json").read_bytes().rstrip())
+        except (OSError, msgspec.DecodeError):
+            return None
+
+    def launch(self) -> Launch | None:
+        """Return who starts this run's trainer, or None if nobody is written down who does."""
+        try:
+            return protocol.decode_launch((self.path / LAUNCH).read_bytes())
         except (OSError, msgspec.DecodeError):
             return None
 
@@ -228,15 +241,23 @@ def new_run_id(task: str, method: str, seed: int, now: float | None = None) -> s
 
 @contextlib.contextmanager
 def hold(folder: RunFolder) -> Iterator[None]:
-    """Hold the folder as its single writer; raise RunFolderError if another trainer does."""
+    """Hold the folder as its single writer; raise HeldError if another trainer does.
+
+    Raise RunFolderError with the reason where the file system of the folder has no locks.
+    """
     with (folder.path / "trainer.lock").open("a+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel lets go of it even after kill -9
-        except OSError:
+        except BlockingIOError:
             file.seek(0)
-            raise RunFolderError(f"{folder.id} is held by another trainer ({file.read().strip() or '?'})") from None
+            raise HeldError(f"{folder.id} is held by another trainer ({file.read().strip() or '?'})") from None
+        except OSError as error:
+            raise RunFolderError(
+                f"{folder.id} can't be locked ({error.strerror}): put the runs on a file system with locks "
+                "(a local disk, NFS, Lustre mounted with -o flock), not on a mounted bucket"
+            ) from error
         file.truncate(0)
-        file.write(f"pid {os.getpid()} started {psutil.Process().create_time():.2f}")
+        file.write(f"{platform.node()} pid {os.getpid()} started {psutil.Process().create_time():.2f}")
         file.flush()
         yield
 
@@ -264,9 +285,13 @@ class EventLog:
         self.seq += 1
         return stamped
 
+    def sync(self) -> None:
+        """Make sure that what was written is on the disk: the other machines of a shared one see it only then."""
+        os.fsync(self._file.fileno())
+
     def close(self) -> None:
         """Make sure that every event is on the disk, and close the log."""
-        os.fsync(self._file.fileno())
+        self.sync()
         self._file.close()
 
 
@@ -292,6 +317,10 @@ class HeartbeatFile:
         while len(text := protocol.encode(beat)) > HEARTBEAT_BYTES:
             beat = msgspec.structs.replace(beat, message=beat.message[: len(beat.message) // 2])
         os.pwrite(self._fd, text.ljust(HEARTBEAT_BYTES), 0)
+
+    def sync(self) -> None:
+        """Make sure that the last heartbeat is on the disk: the other machines of a shared one see it only then."""
+        os.fsync(self._fd)
 
     def close(self) -> None:
         """Close the file; the last heartbeat stays in it."""
