@@ -142,6 +142,7 @@ def _document(history: History, outcome: Outcome) -> dict[str, object]:
         "iterations": history.iteration,
         "env_steps": progress.env_steps if progress else 0,
         "relabelled_steps": progress.relabelled_steps if progress else 0,
+        "search_steps": progress.search_steps if progress else 0,
         "diverged": progress.diverged if progress else 0,
         "phi": dict(zip(history.design_space.names, history.phi.tolist(), strict=True)),
         "last_evaluation": _evaluation(last),
@@ -154,5 +155,6 @@ def _evaluation(evaluation: Any) -> dict[str, object] | None:
     if evaluation is None:
         return None
     names = ("iteration", "env_steps", "phi", "sampled_success", "sampled_return", "deterministic_success",
-             "deterministic_return", "milestones", "diverged", "episode", "cpu_seconds")  # fmt: skip
+             "deterministic_return", "milestones", "diverged", "episode", "cpu_seconds", "episodes",
+             "final")  # fmt: skip
     return {name: getattr(evaluation, name) for name in names}
