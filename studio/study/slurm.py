@@ -12,9 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import Annotated, ClassVar, TypeVar
 
 import msgspec
+import tyro
 
 from morph_core import durable
 from morph_core.protocol import Launch, encode
@@ -46,17 +47,17 @@ class SlurmError(ValueError):
 class SlurmOptions:
     """What Slurm is asked for; what is not given, the cluster's own defaults decide."""
 
-    partition: str | None = None
+    partition: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Slurm partition to run in; by default the cluster's."""
-    time: str | None = None
+    time: Annotated[str | None, tyro.conf.arg(metavar="LIMIT")] = None
     """Time limit of a task as Slurm writes it (90, 12:00:00, 2-00:00:00); a run that reaches it is queued once more."""
-    account: str | None = None
+    account: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Slurm account that is charged; by default the user's."""
-    constraint: str | None = None
+    constraint: Annotated[str | None, tyro.conf.arg(metavar="FEATURES")] = None
     """Features that a node must have, such as avx512: bitwise resumption needs one kind of processor."""
-    mem: str = "2G"
+    mem: Annotated[str, tyro.conf.arg(metavar="SIZE")] = "2G"
     """Memory of a task, as a number with K, M, G or T; 0 for all that a node has."""
-    parallel: int = 32
+    parallel: Annotated[int, tyro.conf.arg(metavar="N")] = 32
     """Largest number of runs at once."""
 
     def __post_init__(self) -> None:
