@@ -125,7 +125,7 @@ def _requeue(folder: RunFolder, further: int | None, quiet: bool) -> int:
         [place] = slurm.states(folder.path.parent, [folder.id]).values()
     except ValueError as error:
         raise UsageError(
-            f"{folder.id} came from Slurm's queue, to which it can't go back: {error}; to go on with it on this machine "
+            f"{folder.id} came from Slurm's queue, to which it can't go back: {error}; to go on on this machine "
             f"instead, remove {folder.path / LAUNCH}"
         ) from error
     if quiet:
