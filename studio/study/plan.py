@@ -162,9 +162,7 @@ def plan_study(
     """
     for what, names in (("task", [task.name for task in tasks]), ("label", [variant.label for variant in variants])):
         if not names:
-            raise StudyError(
-                "a study needs at least one task" if what == "task" else "a study needs at least one method"
-            )
+            raise StudyError(f"a study needs at least one {'task' if what == 'task' else 'method'}")
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             hint = "" if what == "task" else "; name each by LABEL:METHOD,setting=value"
