@@ -251,22 +251,6 @@ class Heartbeat(msgspec.Struct, frozen=True):
     message: str = ""
 
 
-class Launch(msgspec.Struct, frozen=True):
-    """Content of launch.json: the task of a cluster's queue that trains a run."""
-
-    launcher: str
-    job: str
-    """Number of the task in the queue, such as 42_7."""
-    submitted: float
-    """When it was submitted (seconds since the epoch)."""
-    options: dict[str, object] = {}
-    """What was asked for, and is asked for again when the run is submitted anew."""
-    until: int | None = None
-    """Last iteration, where it is not the planned one."""
-    cancelled: bool = False
-    """Whether a user took the run out of the queue: it is not submitted anew with its study."""
-
-
 class Parent(msgspec.Struct, frozen=True):
     """The run and iteration that a run was branched from."""
 
@@ -313,7 +297,6 @@ _events = msgspec.json.Decoder(AnyEvent)
 _orders = msgspec.json.Decoder(Order)
 _records = msgspec.json.Decoder(RunRecord)
 _formats = msgspec.json.Decoder(_Format)
-_launches = msgspec.json.Decoder(Launch)
 _heartbeats = msgspec.json.Decoder(Heartbeat)
 
 
@@ -344,11 +327,6 @@ def decode_record(text: bytes | str) -> RunRecord:
 def format_of(text: bytes | str) -> int:
     """Return the format of a run.json, whatever else that format holds; msgspec.DecodeError on anything else."""
     return _formats.decode(text).format
-
-
-def decode_launch(text: bytes | str) -> Launch:
-    """Return the content of a launch.json; raise msgspec.DecodeError (ValidationError) on anything else."""
-    return _launches.decode(text)
 
 
 def decode_heartbeat(text: bytes | str) -> Heartbeat:

@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 
 from morph_core import durable, format_1, protocol
-from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Launch, Order, RunRecord, Status
+from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Order, RunRecord, Status
 
 HEARTBEAT_BYTES = 4096
 """The heartbeat is rewritten in place at this size, so that it needs no new block on a full disk."""
@@ -126,13 +126,6 @@ class RunFolder:
         """Return the last heartbeat, or None if there is none that can be read."""
         try:
             return protocol.decode_heartbeat((self.path / "heartbeat.json").read_bytes().rstrip())
-        except (OSError, msgspec.DecodeError):
-            return None
-
-    def launch(self) -> Launch | None:
-        """Return who starts this run's trainer, or None if nobody is written down who does."""
-        try:
-            return protocol.decode_launch((self.path / LAUNCH).read_bytes())
         except (OSError, msgspec.DecodeError):
             return None
 

@@ -19,6 +19,7 @@ from studio import limits
 from studio.commands import check_command
 from studio.inquest import Inquest
 from studio.new_run import prepare_run
+from studio.study.local import CANCELLED
 from studio.study.slurm import Slurm, SlurmError, slurm_launch
 from studio.trainers import spawn_trainer
 
@@ -182,7 +183,7 @@ class Runs:
                 self._launch(history.folder, further)
         if queued:
             until = history.iteration + further if further is not None else None
-            self._slurm.requeue(self.folder, [run_id], until=until)
+            self._slurm.resume(self.folder, run_id, until=until)
         self.shown = run_id
 
     def send(self, run_id: str, command: AnyCommand) -> int:
@@ -223,8 +224,8 @@ class Runs:
         if not place.given_up:
             return "queued", place.why
         if status == "queued":
-            return ("stopped" if launch.cancelled else "failed"), place.why
-        return status, f"{reason}; {place.why}" if status == "lost" else reason
+            return ("stopped" if (folder.path / CANCELLED).exists() else "failed"), place.why
+        return status, f"{reason} ({place.why})" if status == "lost" and place.why else reason
 
     # --- opening ---
 

@@ -8,6 +8,7 @@ import tyro
 
 from studio.cli.arguments import RunsArguments, UsageError, parse
 from studio.settings import Settings, default_port
+from studio.study.launchers import make_launcher
 from studio.study.slurm import Slurm, SlurmOptions
 
 
@@ -41,16 +42,12 @@ def main(words: Sequence[str]) -> int:
             open_browser=not arguments.no_browser,
             **given,
         )
-        launcher = Slurm(arguments.slurm) if arguments.launcher == "slurm" else None
-        if launcher:
-            launcher.check()
-        elif arguments.slurm != SlurmOptions():
-            raise UsageError("serve: the options of Slurm go with --launcher slurm alone")
+        launcher = make_launcher(arguments.launcher, options=arguments.slurm)
     except UsageError:
         raise
     except ValueError as error:  # of the settings, or of the environment
         raise UsageError(f"serve: {error}") from error
     from studio.app import serve
 
-    serve(settings, launcher)
+    serve(settings, launcher if isinstance(launcher, Slurm) else None)
     return 0

@@ -121,7 +121,7 @@ def _requeue(folder: RunFolder, further: int | None, quiet: bool) -> int:
     until = history.iteration + further if further is not None else None
     slurm = Slurm()
     try:
-        slurm.requeue(folder.path.parent, [folder.id], until=until)
+        slurm.resume(folder.path.parent, folder.id, until=until)
         [place] = slurm.states(folder.path.parent, [folder.id]).values()
     except ValueError as error:
         raise UsageError(

@@ -18,9 +18,11 @@ import msgspec
 import tyro
 
 from morph_core import durable
-from morph_core.protocol import Launch, encode
+from morph_core.history import History
 from morph_core.run_folder import LAUNCH, RunFolder
 from studio.study.launcher import Launcher, Place
+from studio.study.local import CANCELLED, launcher_of
+from studio.study.standing import stopped_by_user
 from studio.trainers import trainer_command, trainer_environment
 
 LARGEST_ARRAY = 1000
@@ -106,6 +108,20 @@ def seconds_of(limit: str) -> int:
     return seconds
 
 
+class Launch(msgspec.Struct, frozen=True, kw_only=True):
+    """Content of launch.json of a run that is a task of Slurm's."""
+
+    launcher: str = "slurm"
+    job: str
+    """Number of the task, such as 42_7."""
+    submitted: float
+    """When it was submitted (seconds since the epoch)."""
+    options: dict[str, object] = {}
+    """What was asked for, and is asked for again when the run is submitted anew."""
+    until: int | None = None
+    """Last iteration, where it is not the planned one."""
+
+
 class Slurm(Launcher):
     """The launcher on a cluster; `options` are those of new tasks, by default those that a run had before."""
 
@@ -113,6 +129,7 @@ class Slurm(Launcher):
     stays: ClassVar[bool] = True
 
     def __init__(self, options: SlurmOptions | None = None) -> None:
+        self.slots = (options or SlurmOptions()).parallel
         self._options = options
         self._queue = _Queue()
 
@@ -126,56 +143,55 @@ class Slurm(Launcher):
         _slurm("sbatch", "--test-only", *(self._options or SlurmOptions()).words(), "--wrap=true")
 
     def submit(self, directory: Path, runs: Sequence[str]) -> None:
-        """Queue those runs that have no task which Slurm knows, and were not cancelled; all of them, or SlurmError.
+        """Queue those runs that are left and have no task that Slurm knows: all of them, or none with SlurmError.
 
         More than 1,000 are split; each part waits for the one before, so that `parallel` caps all of them.
         """
+        for run in runs:
+            if (launcher := launcher_of(directory / run)) not in ("", self.name):
+                raise SlurmError(
+                    f"{run} is in the hands of the launcher {launcher}: go on with --launcher {launcher}, or cancel "
+                    f"it first: morph-studio study --cancel {directory}"
+                )
         places = self._fresh_states(directory, runs)
         new = [run for run in runs if run not in places or places[run] == _FORGOTTEN]
-        self._submit(directory, [RunFolder(directory / run) for run in new])
+        self._submit(directory, [folder for folder in _folders(directory, new) if _is_left(folder)])
 
     def states(self, directory: Path, runs: Sequence[str], *, patient: bool = True) -> Mapping[str, Place]:
         """Return what is known of these runs. Slurm is asked once for all, and at most every ten seconds.
 
         Without `patient`, the answer is what is known now, while Slurm is asked in the background.
         """
-        launches = {run: launch for run in runs if (launch := slurm_launch(RunFolder(directory / run)))}
+        launches = {f.id: launch for f in _folders(directory, runs) if (launch := slurm_launch(f))}
         said = self._queue.look([launch.job for launch in launches.values()], patient)
         found = {run: said[launch.job] for run, launch in launches.items() if launch.job in said}
-        return found | {run: _CANCELLED for run, launch in launches.items() if launch.cancelled}
+        return found | {run: _CANCELLED_PLACE for run in launches if (directory / run / CANCELLED).exists()}
 
     def cancel(self, directory: Path, runs: Sequence[str]) -> None:
         """Take runs out of the queue; those at work save and stop. Runs that have ended stay as they are."""
         places = self._fresh_states(directory, runs)
         tasks = []
-        for run in runs:
-            folder = RunFolder(directory / run)
-            launch = slurm_launch(folder)
-            if launch and run in places and not places[run].given_up:
-                tasks.append(launch.job)
-                _write(folder, msgspec.structs.replace(launch, cancelled=True))
-        for part in _parts(tasks):
-            _slurm("scancel", *part)
-        self._queue.forget()
-
-    def requeue(self, directory: Path, runs: Sequence[str], *, until: int | None = None) -> None:
-        """Queue runs once more that have ended: they go on from their newest checkpoint, to iteration `until` or as
-        planned. Those that wait or run already are left alone.
-
-        A task that Slurm has forgotten is submitted anew, and so is one that shall go on for longer than before.
-        """
-        places = self._fresh_states(directory, runs)
-        anew = []
-        for folder in (RunFolder(directory / run) for run in runs):
+        for folder in _folders(directory, runs):
             launch, place = slurm_launch(folder), places.get(folder.id)
             if launch and place and not place.given_up:
-                continue
-            if launch and until in (None, launch.until) and _requeued(launch.job):
-                _write(folder, msgspec.structs.replace(launch, cancelled=False))
-                self._queue.expect(launch.job)
-            else:
-                anew.append(folder)
-        self._submit(directory, anew, until)
+                tasks.append(launch.job)
+                (folder.path / CANCELLED).touch()
+        for part in _parts(tasks):
+            _slurm("scancel", *part)
+
+    def requeue(self, directory: Path, runs: Sequence[str]) -> None:
+        """Queue runs once more that are left, and that were cancelled or have failed."""
+        for folder in _folders(directory, runs):
+            cancelled = folder.path / CANCELLED
+            if cancelled.exists() and launcher_of(folder.path) != self.name:  # taken from another launcher
+                (folder.path / LAUNCH).unlink(missing_ok=True)
+                cancelled.unlink()
+        self._go_on(directory, [f for f in _folders(directory, runs) if slurm_launch(f) and _is_left(f)])
+
+    def resume(self, directory: Path, run: str, *, until: int | None = None) -> None:
+        """Queue a run once more that has ended: it goes on from its newest checkpoint, to iteration `until` or as
+        planned. One that waits or runs already is left alone."""
+        self._go_on(directory, _folders(directory, [run]), until)
 
     def _fresh_states(self, directory: Path, runs: Sequence[str]) -> Mapping[str, Place]:
         """Return where these runs are now, or raise SlurmError if Slurm does not say."""
@@ -184,6 +200,20 @@ class Slurm(Launcher):
         if self.trouble:
             raise SlurmError(self.trouble)
         return places
+
+    def _go_on(self, directory: Path, folders: Sequence[RunFolder], until: int | None = None) -> None:
+        places = self._fresh_states(directory, [folder.id for folder in folders])
+        anew = []
+        for folder in folders:
+            launch, place = slurm_launch(folder), places.get(folder.id)
+            if launch and place and not place.given_up:
+                continue
+            if launch and place != _FORGOTTEN and until in (None, launch.until) and _requeued(launch.job):
+                self._queue.expect(launch.job)
+                (folder.path / CANCELLED).unlink(missing_ok=True)
+            else:
+                anew.append(folder)
+        self._submit(directory, anew, until)
 
     def _submit(self, directory: Path, folders: Sequence[RunFolder], until: int | None = None) -> None:
         for options, group in _by_options(folders, self._options):
@@ -197,18 +227,32 @@ class Slurm(Launcher):
                 raise
             for number, folder in enumerate(group):
                 task = f"{jobs[number // LARGEST_ARRAY]}_{number % LARGEST_ARRAY}"
-                _write(folder, Launch(self.name, task, submitted=time.time(), options=asdict(options), until=until))
+                launch = Launch(job=task, submitted=time.time(), options=asdict(options), until=until)
+                durable.write_file(folder.path / LAUNCH, msgspec.json.encode(launch))
+                (folder.path / CANCELLED).unlink(missing_ok=True)
                 self._queue.expect(task)
 
 
 def slurm_launch(folder: RunFolder) -> Launch | None:
-    """Return how a run was launched if that was by Slurm; None too for a file that does not name a task of Slurm."""
-    launch = folder.launch()
-    return launch if launch and launch.launcher == Slurm.name and _TASK.fullmatch(launch.job) else None
+    """Return how a run was launched if that was by Slurm; None too for a file that names no task of Slurm."""
+    try:
+        launch = msgspec.json.decode((folder.path / LAUNCH).read_bytes(), type=Launch)
+    except (OSError, msgspec.DecodeError):
+        return None
+    return launch if launch.launcher == Slurm.name and _TASK.fullmatch(launch.job) else None
 
 
-def _write(folder: RunFolder, launch: Launch) -> None:
-    durable.write_file(folder.path / LAUNCH, encode(launch))
+def _folders(directory: Path, runs: Sequence[str]) -> list[RunFolder]:
+    return [RunFolder(directory / run) for run in runs]
+
+
+def _is_left(folder: RunFolder) -> bool:
+    """Tell whether a study is to go on with a run; what a user has stopped, nobody else starts."""
+    try:
+        history = History(folder)
+    except (OSError, ValueError):  # the standing of the run says why
+        return False
+    return history.status != "finished" and not stopped_by_user(history)
 
 
 def _requeued(task: str) -> bool:
@@ -280,7 +324,7 @@ def _sbatch(
 
 _TASK = re.compile(r"\d{1,12}_\d{1,7}")
 _FORGOTTEN = Place(why="Slurm does not know its job any more: resume submits it anew", given_up=True)
-_CANCELLED = Place(why="cancelled: resume queues it once more", given_up=True)
+_CANCELLED_PLACE = Place(why="cancelled: resume queues it once more", given_up=True)
 _WORDS = {
     "JobArrayTaskLimit": "as many runs as --parallel allows are at work",
     "Resources": "waits for a free core",
@@ -401,4 +445,6 @@ def _place(task: str, line: str | None) -> Place:
         return Place(why=f"{_WORDS.get(reason, 'waits')} (Slurm job {task}: {state}, {reason})")
     if state in AT_WORK:
         return Place(where=f"{node or 'a node'} (Slurm job {task}: {state})")
+    if state == "COMPLETED":  # finished, or stopped by a user: its folder says which
+        return Place(given_up=True)
     return Place(why=f"Slurm job {task}: {state}" + (f", {reason}" if reason != "None" else ""), given_up=True)
