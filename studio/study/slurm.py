@@ -27,6 +27,8 @@ from studio.trainers import trainer_command, trainer_environment
 
 LARGEST_ARRAY = 1000
 """Tasks of one array: Slurm's own limit (MaxArraySize) is 1,001 unless a cluster sets another."""
+MOST_AT_ONCE = 1000
+"""Largest cap that can be asked for."""
 WARNING_SECONDS = 120
 """How long before the time limit a trainer is told to save, or a quarter of the limit if that is shorter."""
 FRESH_SECONDS = 10.0
@@ -72,8 +74,8 @@ class SlurmOptions:
             seconds_of(self.time)
         if not re.fullmatch(r"\d{1,9}[KMGT]?", self.mem):
             raise ValueError(f'mem must be a number with K, M, G or T, such as 2G, not "{self.mem[:40]}"')
-        if not 1 <= self.parallel <= LARGEST_ARRAY:
-            raise ValueError(f"parallel must be a whole number from 1 to {LARGEST_ARRAY}, not {self.parallel}")
+        if not 1 <= self.parallel <= MOST_AT_ONCE:
+            raise ValueError(f"parallel must be a whole number from 1 to {MOST_AT_ONCE}, not {self.parallel}")
 
     def words(self) -> list[str]:
         """Return the options of sbatch."""
