@@ -318,7 +318,7 @@ class HeartbeatFile:
     """heartbeat.json, rewritten in place in one write of a fixed size: readers see the old one or the new one."""
 
     def __init__(self, folder: RunFolder) -> None:
-        self._fd = os.open(folder.path / "heartbeat.json", os.O_RDWR | os.O_CREAT, 0o644)
+        self._fd = os.open(folder.path / "heartbeat.json", os.O_RDWR | os.O_CREAT, 0o666)
 
     def write(self, beat: Heartbeat) -> None:
         """Write a heartbeat in place of the last one; a message that does not fit is shortened."""

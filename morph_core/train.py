@@ -377,7 +377,7 @@ def _keep_beating(trainer: Trainer, ended: threading.Event) -> None:
 def _say_into(log: Path) -> None:
     """Let standard output and error go to the end of this file from now on, and work beside it."""
     os.chdir(log.parent)
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
     for stream in (1, 2):
         os.dup2(descriptor, stream)
     os.close(descriptor)

@@ -183,9 +183,8 @@ def _follow(directory: Path, study: Study, launcher: Launcher, *, quiet: bool) -
     standings: list[RunStanding] = []
     heard = 0
     with interrupts() as presses, (_Bars if console.is_terminal else _Lines)(console, study, quiet) as view:
-        view.say(
-            f"{len(names)} runs in {directory}; morph-studio serve --runs {shlex.quote(str(directory))} shows them"
-        )
+        serve = f"morph-studio serve --runs {shlex.quote(str(directory))}"
+        view.say(f"{len(names)} runs in {directory}; watch them: {serve}")
         while True:
             launcher.tend(directory)
             standings = reader.read(launcher.states(directory, names))
@@ -273,9 +272,10 @@ def _counts(standings: Sequence[RunStanding]) -> str:
     finished = sum(run.status == "finished" for run in standings)
     over = sum(run.over for run in standings) - finished
     at_work = sum(run.status in ("starting", "running", "pausing", "paused") and not run.over for run in standings)
-    words = [f"{finished} of {len(standings)} runs finished", f"{at_work} at work"]
     waiting = len(standings) - finished - over - at_work
-    return ", ".join(words + [f"{waiting} waiting"] * (waiting > 0) + [f"{over} not finished"] * (over > 0))
+    others = {"at work": at_work, "waiting": waiting, "over without an end": over}
+    counts = [f"{count} {what}" for what, count in others.items() if count]
+    return ", ".join([f"{finished} of {len(standings)} runs finished", *counts])
 
 
 def _eta(study: Study, standings: Sequence[RunStanding], slots: int) -> str:

@@ -119,9 +119,7 @@ def standing_of(history: History, planned: PlannedRun, level: float, place: Plac
     progress: Progress | None = history.progress[-1] if history.progress else None
     last = next((e for e in reversed(history.evaluations) if e.final), None) or _last(history.evaluations)
     by_user = stopped_by_user(history)
-    reason = place.why or (
-        "stopped by a user" if by_user else "" if status in ("finished", "running") else history.message
-    )
+    silent = status in ("finished", "running")
     return RunStanding(
         run=planned.run,
         task=planned.task,
@@ -129,7 +127,7 @@ def standing_of(history: History, planned: PlannedRun, level: float, place: Plac
         seed=planned.seed,
         status=status,
         over=status == "finished" or by_user or place.given_up,
-        reason=reason,
+        reason=place.why or ("stopped by a user" if by_user else "" if silent else history.message),
         where=place.where,
         iteration=history.iteration,
         env_steps=progress.env_steps if progress else 0,
