@@ -98,9 +98,8 @@ class Cluster:
                 last=self.port + 2,
             )
         )  # fmt: skip
-        if (
-            self.run("/usr/sbin/slurmd", "-V").split()[-1] >= "23.11"
-        ):  # since then it can, and must, be said that there are no cgroups
+        version = self.run("/usr/sbin/slurmd", "-V").split()[-1]
+        if version >= "23.11":  # since then it can, and must, be said that there are no cgroups
             (self.folder / "cgroup.conf").write_text("CgroupPlugin=disabled\n")
         self.run(
             "/usr/sbin/munged", "--force", f"--key-file={munge}/key", f"--socket={munge}/socket",
