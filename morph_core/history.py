@@ -149,7 +149,7 @@ class History:
             return status
         beat = self.heartbeat
         if beat is None:
-            if self.folder.is_launched():
+            if self.state is None and self.folder.is_launched():
                 return "queued"
             return status if time.time() - self.record.created < STARTS_WITHIN else "lost"
         if not still_beating(beat, unchanged=time.monotonic() - self._moved):

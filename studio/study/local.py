@@ -10,8 +10,9 @@ import fcntl
 import os
 import platform
 import signal
+import subprocess
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
@@ -89,6 +90,8 @@ class Local(Launcher):
 
     slots: int = field(default_factory=lambda: len(cores()))
     """Number of trainers at a time, by default as many as there are cores."""
+    spawn: Callable[..., subprocess.Popen[bytes]] = spawn_trainer
+    """Function that starts the trainer of a run folder, which inherits the file descriptors `held`."""
 
     name: ClassVar[str] = "local"
     stays: ClassVar[bool] = False
@@ -209,7 +212,7 @@ class Local(Launcher):
             reason = f"given up after {barren} starts that got no further than iteration {furthest}: {cause}"
             _write_launch(folder, msgspec.structs.replace(before, given_up=reason))
             return False
-        child = start_child(folder, lambda: spawn_trainer(folder, held=held))
+        child = start_child(folder, lambda: self.spawn(folder, held=held))
         _settle(child.process.pid, slot)
         self._working[slot] = child
         trainer = Process.of(child.process.pid)

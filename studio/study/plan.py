@@ -1,6 +1,6 @@
 """The plan of a study: which tasks, which methods with which settings, which seeds; written once as study.json."""
 
-import json
+import contextlib
 import re
 import time
 from collections.abc import Iterator, Sequence
@@ -140,11 +140,12 @@ def _settings_of(word: str) -> tuple[str, dict[str, object]]:
 
 def _value(word: str) -> object:
     """Return a number or true or false as such, anything else as the word that it is."""
-    try:
-        value = json.loads(word)
-    except json.JSONDecodeError:
-        return word
-    return value if isinstance(value, bool | int | float) else word
+    if word in ("true", "false"):
+        return word == "true"
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(word)
+    return word
 
 
 def plan_study(
