@@ -131,7 +131,7 @@ def start(task: Task, method: Method, seed: int, design_space: DesignSpace | Non
     """Return the state before the first iteration; everything random in a run comes from `seed`."""
     space = design_space or task.design_space
     weights = torch.Generator().manual_seed(seed)
-    control = Control(task, method.ppo, method.schedule, method.hidden, weights)
+    control = Control(task, method.ppo, method.schedule, method.hidden, weights, method.sees_phi)
     proxy = HwNN(task, method.proxy_fit, method.hidden, weights) if method.proxy_fit else None
     memory = method.memory(proxy)
     alpha, projection = method.steering

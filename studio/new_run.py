@@ -50,7 +50,8 @@ def prepare_run(runs: Path, **wishes: Any) -> RunFolder:
 def record_of(
     *,
     task: str,
-    method: str = "morph",
+    preset: str | None = None,
+    method: str | None = None,
     seed: int = 0,
     iterations: int = 100,
     settings: Mapping[str, object] | None = None,
@@ -61,10 +62,13 @@ def record_of(
     final_episodes: int = 0,
     made_on: Machine | None = None,
 ) -> RunRecord:
-    """Return the record of a new run; raise ValueError that says what is allowed."""
+    """Return the record of a new run; raise ValueError that says what is allowed.
+
+    `settings` are laid over those of the `preset`, if one is named, and those over what was found to work for the task.
+    """
     try:
         chosen = make_task(task, task_options)
-        configured = make_method(method, chosen, settings)
+        configured = make_method(method, chosen, settings, preset)
     except (TypeError, OverflowError) as error:  # a list where a number belongs, 10**400 where a float does
         raise ValueError(f"a setting of {task} has the wrong type or size: {error}") from error
     seed, iterations = limits.seed(seed), limits.iterations(iterations)
@@ -73,13 +77,13 @@ def record_of(
     if parameters is not None:
         space = _edited(space, parameters)
     chosen.check_buildable(space.initial)
-    here = made_on or machine()
+    here = machine() if made_on is None else made_on
     return RunRecord(
         format=FORMAT,
-        id=new_run_id(task, method, seed),
+        id=new_run_id(task, configured.name, seed),
         task=task,
         task_options=dict(task_options or {}),
-        method=method,
+        method=configured.name,
         seed=seed,
         iterations=iterations,
         env_steps=env_steps,

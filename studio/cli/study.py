@@ -50,14 +50,15 @@ REPORT_MODULE = "studio.study.report"
 class StudyArguments:
     """Compare methods over tasks and seeds at equal environment steps, and report what came of it.
 
-    A method V is METHOD, or METHOD,setting=value,... with settings under the names that `morph-studio train` gives
-    them; LABEL:V names it in tables and figures. The same words again go on where a study was.
+    A method V is METHOD or PRESET, or one of them with settings behind commas, METHOD,setting=value,... under the
+    names that `morph-studio train` gives them; LABEL:V names it in tables and figures. The same words again go on
+    where a study was.
     """
 
     tasks: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TASK...")] = ()
     """Tasks to compare on; TASK,option=value,... sets options."""
     methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="V...")] = ()
-    """Methods to compare, such as: morph slow:morph,alpha=.1,search=drift direct."""
+    """Methods to compare, such as: paper morph slow:morph,alpha=.1,search=drift direct."""
     seeds: Annotated[str, tyro.conf.arg(metavar="SEEDS")] = "0-9"
     """Seeds of every method on every task."""
     env_steps: Annotated[float | None, tyro.conf.arg(metavar="N")] = None
@@ -199,7 +200,7 @@ def _follow(directory: Path, study: Study, launcher: Launcher, *, quiet: bool) -
         view.show(standings, launcher.slots, last=True)
     standings = reader.read(launcher.states(directory, names))
     if presses:
-        return standings, 130
+        return standings, 0 if launcher.stays else 130
     return standings, 0 if all(run.status == "finished" for run in standings) else 1
 
 
@@ -311,7 +312,9 @@ def _conclude(directory: Path, study: Study, standings: list[RunStanding], as_js
     console = Console()
     if not console.is_terminal:
         console.width = 200  # a pipe has no width: names stay whole
-    console.print(Text(f"{_counts(standings)}; solved: success ≥ {study.level:g}, sampled"), soft_wrap=True)
+    console.print(
+        Text(f"{_counts(standings)}; solved: sampled success ≥ {study.level:g}; medians of the seeds"), soft_wrap=True
+    )
     console.print(table_of(study, standings))
     for variant in by_variant(study, standings):
         for failure in variant.failures:
@@ -325,7 +328,7 @@ def table_of(study: Study, standings: Sequence[RunStanding]) -> Table:
     table = Table(box=None, pad_edge=False)
     for heading in ("task", "method"):
         table.add_column(heading, overflow="fold")
-    for heading in ("finished", "solved", "median steps", "median CPU", "success at the end", "deterministic"):
+    for heading in ("finished", "solved", "steps to solve", "CPU to solve", "success at the end", "deterministic"):
         table.add_column(heading, justify="right")
     for line in by_variant(study, standings):
         steps, cpu = line.median_env_steps, line.median_cpu_seconds

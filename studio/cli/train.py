@@ -111,6 +111,7 @@ def _resumed(wanted: Wanted) -> tuple[RunFolder, int | None]:
         raise UsageError(f"{folder.id} is a run of the task {record.task}, not {asked.task}")
     recorded = dict(paths_of(read_method(record)))
     given = [name for name in ("method", "seed") if getattr(asked, name) != getattr(record, name)]
+    given += ["preset"] if asked.preset else []
     given += [name for name, value in wanted.settings.items() if value != recorded.get(name)]
     if given or wanted.task_options:
         names = ", ".join("--" + name.replace("_", "-") for name in (*given, *wanted.task_options))

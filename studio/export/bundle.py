@@ -81,7 +81,7 @@ def _build(history: History, which: str, formats: Sequence[str] | None) -> tuple
     robot = robot_of(task)
     parts = parts_of_design(robot, phi)
     design = _design(history, task, which, iteration, phi, parts)
-    policy = policy_at(history, iteration)
+    policy = policy_at(history, iteration, phi)
     try:
         files = robot_files(task, phi, parts, formats)
     except (ValueError, mujoco.FatalError) as error:

@@ -50,7 +50,7 @@ def as_word(value: object) -> str:
 
 @given(st.none() | labels, st.sampled_from(["morph", "direct"]), st.dictionaries(names, values, max_size=4))
 def test_a_method_word_says_label_method_and_settings(label: str | None, method: str, chosen: dict) -> None:
-    word = ",".join([method, *(f"{name}={as_word(value)}" for name, value in settings.items())])
+    word = ",".join([method, *(f"{name}={as_word(value)}" for name, value in chosen.items())])
     found = parse_variant(word if label is None else f"{label}:{word}")
     assert found == Variant(word if label is None else label, method, chosen)
 
@@ -97,6 +97,18 @@ def test_a_plan_is_written_with_a_run_folder_for_each_run(tmp_path: Path) -> Non
     assert record.iterations == 125, "an episode has a step at least"
 
 
+def test_a_preset_is_a_method_with_its_settings(tmp_path: Path) -> None:
+    study = planned(f"paper,{TINY},projection=none", f"letter:paper,{TINY}")
+    assert study.variants[0] == Variant(
+        f"paper,{TINY},projection=none", "morph", {**study.variants[1].settings, "projection": "none"}, "paper"
+    )
+    write_study(tmp_path / "study", study)
+    config = RunFolder(tmp_path / "study" / study.runs[0].run).record().config
+    assert config["exploration"]["name"] == "gaussian"  # pyright: ignore
+    assert (config["projection"], config["trajectories"]) == ("none", 8)
+    assert RunFolder(tmp_path / "study" / "reacher-letter-s1").record().config["projection"] == "one_sided"
+
+
 def test_a_task_word_sets_options(tmp_path: Path) -> None:
     study = plan_study([parse_task("reacher,z=joints")], [parse_variant(f"morph,{TINY}")], [0], env_steps=1000)
     write_study(tmp_path / "study", study)
@@ -121,7 +133,12 @@ def test_another_plan_there_is_refused_with_the_differences(tmp_path: Path) -> N
     other = planned(f"a:direct,{TINY},step=2", seeds="0-2", level=0.9)
     with pytest.raises(StudyError) as refusal:
         write_study(tmp_path / "study", other)
-    for part in ("seeds: 0, 1 there, 0, 1, 2 asked for", "level: 0.95 there, 0.9 asked for", "step=2", "--out"):
+    for part in (
+        "seeds: 0, 1 there, 0, 1, 2 asked for",
+        "level: 0.95 there, 0.9 asked for",
+        "a:direct,trajectories=8,evaluation.episodes=4,step=2 asked for",
+        "--out",
+    ):
         assert part in str(refusal.value)
     assert "env_steps" not in str(refusal.value)
     assert contents(tmp_path) == before
@@ -179,7 +196,7 @@ REFUSED = [
     ("--methods direct --env-steps 1e5 --out study", "at least one task"),
     ("reacher --env-steps 1e5 --out study", "at least one method"),
     ("reech --methods direct --env-steps 1e5 --out study", 'unknown task "reech"; choose from: reacher, pen_press'),
-    ("reacher --methods morhp --env-steps 1e5 --out study", 'unknown method "morhp"; choose from: morph'),
+    ("reacher --methods morhp --env-steps 1e5 --out study", 'unknown method "morhp"; choose from: morph, '),
     ("reacher --methods morph,alpha --env-steps 1e5 --out study", "write setting=value"),
     ("reacher --methods morph,alpha=1,alpha=2 --env-steps 1e5 --out study", "sets alpha twice"),
     ("reacher --methods morph,alpha=-1 --env-steps 1e5 --out study", "alpha must not be negative, not -1"),
