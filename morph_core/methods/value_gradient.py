@@ -89,7 +89,7 @@ class ValueGradient(Method):
             yield state.advance(iteration, rollout, self.freeze_success)
 
     def _step(self, iteration: int) -> float:
-        return self.schedule.geometric(self.step, self.step * self.step_end, iteration)
+        return self.step * self.schedule.geometric(1.0, self.step_end, iteration)
 
 
 def designs_in_window(task: Task, state: "State", width: float, count: int) -> np.ndarray:
