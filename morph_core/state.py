@@ -50,7 +50,10 @@ class State:
     frozen: bool = False
     """Whether phi stays as it is, and every episode runs on it."""
     relabelled_steps: int = 0
-    """Steps of Hw-Phy outside of trajectories: relabelling, and the search for phi."""
+    """Steps of Hw-Phy outside of trajectories and of the search for phi: the proxy's fit, relabelling, and what an
+    exploration asks of designs."""
+    search_steps: int = 0
+    """Steps of Hw-Phy that the search for phi took."""
     diverged: int = 0
     """Episodes left out because their simulation diverged."""
     control_start: int = 0

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -59,6 +59,9 @@ class ValueGradient(Method):
     """Root mean square of a step of phi over the free parameters at the start, as a share of each parameter's range."""
     step_end: Fraction = 0.3
     """Step of phi at the end of the schedule, to which it falls geometrically, as a fraction of the first one."""
+    slope_at: Literal["window", "phi"] = "window"
+    """Designs at which the critic's slope is taken and averaged: `window` takes those of the iteration's episodes, which
+    the critic has just learnt from, `phi` the present one, with each of the start states."""
     wait: Share = 0.05
     """Share of the schedule that is over before phi takes its first step: a critic that has learnt nothing says
     nothing of phi."""
@@ -83,7 +86,9 @@ class ValueGradient(Method):
                 state.control.learn(state, rollout, iteration)
                 if not state.frozen and self.schedule.share(iteration) >= self.wait:
                     start = rollout.observation[0, :, : task.observation_size]
-                    slope = state.control.value_slope(start, state.phi)
+                    explored = state.explored[rollout.kept]
+                    at = explored if self.slope_at == "window" else np.broadcast_to(state.phi, explored.shape)
+                    slope = state.control.value_slope(start, at)
                     target = ascended(state.design_space, state.phi, slope, self._step(iteration))
                     state.phi = nearest_buildable(task, state.phi, target)
             yield state.advance(iteration, rollout, self.freeze_success)

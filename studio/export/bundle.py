@@ -210,7 +210,7 @@ def _promised(history: History, recorded: Evaluation | None, policy: Policy) -> 
     """Return what training has measured with this very policy."""
     if recorded is None or policy.iteration != recorded.iteration:
         return []
-    episodes = flattened(history.record.config).get("evaluation.episodes")
+    episodes = recorded.episodes or flattened(history.record.config).get("evaluation.episodes")
     return [Score(episodes, recorded.sampled_success, "in training")] if isinstance(episodes, int) else []
 
 
