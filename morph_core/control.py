@@ -46,9 +46,17 @@ class Control:
     def start_afresh(self, weights: torch.Generator) -> None:
         """Make policy, critic and optimiser as they are before anything is learnt."""
         self.policy = Policy(self._task, self._ppo, self._hidden, weights, self._sees_phi)
-        self.critic = Critic(self._task, self._hidden, weights, len(self._task.design_space) if self._sees_phi else 0)
-        parameters = [*self.policy.parameters(), *self.critic.parameters()]
+        self.critic = self._new_critic(weights)
+        parameters = [p for module in self.modules.values() for p in module.parameters()]
         self.optimizer = torch.optim.Adam(parameters, self._ppo.learning_rate, fused=True)
+
+    def _new_critic(self, weights: torch.Generator) -> Critic:
+        return Critic(self._task, self._hidden, weights, len(self._task.design_space) if self._sees_phi else 0)
+
+    @property
+    def modules(self) -> dict[str, nn.Module]:
+        """Return every network, by the name under which a checkpoint holds it."""
+        return {"policy": self.policy, "critic": self.critic}
 
     def set_learning_rate(self, age: int) -> None:
         """Anneal linearly over the schedule; `age` counts the iterations since policy and critic started afresh."""

@@ -15,6 +15,7 @@ from morph_core.methods.cmaes_rl import CmaesRl
 from morph_core.methods.direct import Direct
 from morph_core.methods.no_hw_opt import NoHwOpt
 from morph_core.methods.proxy import Morph
+from morph_core.methods.transform2act import Transform2Act
 from morph_core.methods.value_gradient import ValueGradient
 from morph_core.parts import Evaluation, Ppo, ProxyFit, Schedule
 from morph_core.protocol import FORMAT, RunRecord
@@ -40,6 +41,7 @@ _SMALL: Mapping[str, Method] = {
         CmaesRl(**vars(_NO_HW_OPT), candidate_iterations=2),
         Direct(**vars(_NO_HW_OPT)),
         _NO_HW_OPT,
+        Transform2Act(**vars(_NO_HW_OPT)),
         ValueGradient(**vars(_NO_HW_OPT)),
     )
 }
