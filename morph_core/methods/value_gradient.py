@@ -41,16 +41,19 @@ class Window(Settings):
 class ValueGradient(Method):
     """A policy and a critic that see phi learn on designs from all over the box, and phi climbs the critic's value.
 
-    This is the idea of value gradients for robot design ("Shape Your Body", Bohlinger and Peters 2026), as a peer of
-    the methods here: each episode keeps a design of its own, PPO learns with phi in what policy and critic see, and
-    phi goes where V(s_0, phi), averaged over start states, rises. It differs from the original in these points. There
-    the critic is trained to its end on a fixed distribution of designs, frozen, and only then climbed, from a reference
-    design within a soft trust region; here both go on at once, as in the other methods, so that one budget pays for
-    all: once the critic has seen enough, phi takes one step an iteration, and the designs are drawn from a window
-    around phi that begins as the whole box and narrows. The trust region is the length of the step, which has a fixed
-    length whatever the slope, and the box. There a network for many robots reads a description of each joint and the
-    critic sees the design by a way of its own; here the parameters of one robot, scaled to its box, stand beside the
-    observation of a plain network. There control gains count as design, too; here phi is what the task says it is.
+    This is the idea of "Shape Your Body: Value Gradients for Multi-Embodiment Robot Design" (Bohlinger and Peters 2026,
+    arXiv 2606.00702), as a peer of the methods here: each episode keeps a design of its own, PPO learns with phi in
+    what policy and critic see, and phi goes where V(s_0, phi), averaged over start states, rises.
+
+    It differs from the original in these points. There the critic is trained to its end on a fixed distribution of
+    designs and frozen, and only then climbed; here one budget pays for both, as in the other methods: after a short
+    wait phi takes a step an iteration, and the designs are drawn from a window of the box that begins as the whole of
+    it and narrows around phi. There a penalty holds phi near a reference design; here the step has a length of its own,
+    whatever the slope, and the box is the only limit. There the value is averaged over a fixed bank of states, at one
+    design; here over the start states of the iteration, each with the design of its episode, or all with the present
+    phi. There one network for many robots reads a description of every joint, and control gains are design as well;
+    here the parameters of one robot, scaled to its box, stand beside the observation of the plain network that all
+    methods here have.
 
     Bounds and locks that a user edits are obeyed from the next iteration on, and phi goes on from an injected design.
     """
@@ -60,8 +63,8 @@ class ValueGradient(Method):
     step_end: Fraction = 0.3
     """Step of phi at the end of the schedule, to which it falls geometrically, as a fraction of the first one."""
     slope_at: Literal["window", "phi"] = "window"
-    """Designs at which the critic's slope is taken and averaged: `window` takes those of the iteration's episodes, which
-    the critic has just learnt from, `phi` the present one, with each of the start states."""
+    """Designs at which the critic's slope is averaged over start states: `window` takes each episode's own, from which
+    the critic has just learnt, `phi` the present one."""
     wait: Share = 0.05
     """Share of the schedule that is over before phi takes its first step: a critic that has learnt nothing says
     nothing of phi."""
