@@ -16,6 +16,7 @@ from morph_core.methods.direct import Direct
 from morph_core.methods.no_hw_opt import NoHwOpt
 from morph_core.methods.proxy import Morph
 from morph_core.methods.transform2act import Transform2Act
+from morph_core.methods.value_gradient import ValueGradient
 from morph_core.parts import Evaluation, Ppo, ProxyFit, Schedule
 from morph_core.protocol import FORMAT, RunRecord
 from morph_core.run_folder import RunFolder, create_run
@@ -41,6 +42,7 @@ _SMALL: Mapping[str, Method] = {
         Direct(**vars(_NO_HW_OPT)),
         _NO_HW_OPT,
         Transform2Act(**vars(_NO_HW_OPT)),
+        ValueGradient(**vars(_NO_HW_OPT)),
     )
 }
 
