@@ -32,6 +32,7 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
             "diverged": state.diverged,
             "control_start": state.control_start,
             "last_reached": state.last_reached,
+            "progress": state.progress,
             "phi": state.phi.tolist(),
             "parameters": msgspec.to_builtins(state.design_space.parameters),
             "alpha": state.alpha,
@@ -63,6 +64,7 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Metho
         diverged = "diverged" if "diverged" in facts else "truncations"  # as format 1 called it
         state.relabelled_steps, state.diverged = facts["relabelled_steps"], facts[diverged]
         state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]
+        state.progress = facts.get("progress", 0.0)  # unknown to older checkpoints
         state.phi = space.check(facts["phi"])
         state.alpha, state.projection = facts["alpha"], facts["projection"]
         state.fitted, state.frozen = facts["fitted"], facts["frozen"]

@@ -25,6 +25,11 @@ def morph(task: Task, config: "Morph", state: "State") -> Iterator[Progress]:
 
         world = exploration.world(task, state, spread, config.trajectories)  # line 2
         rollout = run_trajectories(task, state, world, config.trajectories)
+        resting = state.frozen and config.proxy.while_frozen == "rest"
+        if rollout.holds_enough and resting:
+            state.control.learn(state, rollout, iteration)
+            yield state.advance(iteration, rollout, config.freeze_success)
+            continue
         if not rollout.holds_enough or not len(
             pairs := relabel_on_hardware(rollout, hw_phy, config.proxy.pairs, state.rng)
         ):

@@ -57,6 +57,9 @@ class State:
     """The iteration after which policy and critic last started afresh."""
     last_reached: int = 0
     """The last iteration in which episodes reached the first milestone of the task."""
+    progress: float = 0.0
+    """The largest mean share of an iteration's episodes that reached the milestones and the goal of the task, since
+    policy and critic last started afresh."""
 
     @property
     def hw_nn(self) -> HwNN:
@@ -112,7 +115,9 @@ class State:
         self.env_steps += rollout.steps
         self.diverged += rollout.diverged
         reached = rollout.success_rate if success is None else success
-        self.frozen = self.frozen or 0 < freeze_success <= reached
+        if not self.frozen and 0 < freeze_success <= reached:
+            self.frozen = True
+            self.control.phi_was_frozen(self, iteration)
         return Progress(
             iteration=iteration,
             env_steps=self.env_steps,

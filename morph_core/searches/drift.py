@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from morph_core.config import NotNegative, Positive
+from morph_core.config import Count, NotNegative, Positive
 from morph_core.design import DesignSpace
 from morph_core.divergence import limited
 from morph_core.search import Dataset, Memory, Problem, Search
@@ -31,6 +31,9 @@ class Drift(Search):
     that is free. 0 sets no limit."""
     designs: Annotated[int, Meta(ge=4, multiple_of=4)] = 24
     """Number of designs, in two halves of antithetic pairs, over which dz/dphi is averaged."""
+    groups: Count = 1
+    """Groups that the relabelled pairs are split into, each with so many designs of its own: for the same steps, the
+    least squares see more designs."""
     ridge: NotNegative = 0.2
     """Ridge of the least squares, as a share of the mean curvature."""
     limit: Positive = 1.5
@@ -55,20 +58,26 @@ class Drift(Search):
         space, spread, dataset = problem.space, problem.spread, problem.dataset
         # dz for pairs of designs phi +- spread
         rng = np.random.default_rng(problem.seed)
-        noise = spread.noise(space, self.designs // 2, rng)
-        offset = spread.sigma * space.scale * noise
-        pairs = space.clip(problem.start + np.concatenate([offset, -offset]))
-        z = problem.physics.z(dataset.s, dataset.a, pairs)
-        change = limited(np.nan_to_num(z[: len(noise)] - z[len(noise) :]) / 2, self.drift_clip)  # (P, n, z_size)
+        groups = np.array_split(np.arange(len(dataset.s)), min(self.groups, len(dataset.s)))  # of rows of the dataset
+        noises = [spread.noise(space, self.designs // 2, rng) for _ in groups]
+        changes = []  # of each group (P, n, z_size)
+        for rows, noise in zip(groups, noises, strict=True):
+            offset = spread.sigma * space.scale * noise
+            pairs = space.clip(problem.start + np.concatenate([offset, -offset]))
+            z = problem.physics.z(dataset.s[rows], dataset.a[rows], pairs)
+            changes.append(limited(np.nan_to_num(z[: len(noise)] - z[len(noise) :]) / 2, self.drift_clip))
         # every component of z in units of its own change: contact shakes some more than others
-        unit = np.sqrt((change**2).mean((0, 1))) + _SMALLEST_CHANGE
+        unit = np.sqrt((np.concatenate(changes, 1) ** 2).mean((0, 1))) + _SMALLEST_CHANGE
         drift = limited(problem.memory.drift(dataset), self.drift_clip) / unit
-        change = (change / unit).reshape(len(noise), -1)
         # the two estimates J1, J2 of dz/dphi, by regression on whitened noise
         free = space.free
         whiten = np.linalg.cholesky(_correlations(space, spread.correlation)[np.ix_(free, free)])
-        white = np.linalg.solve(whiten, noise[:, free].T).T
-        first, second = (change[half::2].T @ white[half::2] / len(white[half::2]) for half in (0, 1))  # (n z_size, f)
+        estimates = []  # of each group, twice (n z_size, f)
+        for noise, change in zip(noises, changes, strict=True):
+            white = np.linalg.solve(whiten, noise[:, free].T).T
+            flat = (change / unit).reshape(len(noise), -1)
+            estimates.append([flat[half::2].T @ white[half::2] / len(white[half::2]) for half in (0, 1)])
+        first, second = (np.concatenate(parts) for parts in zip(*estimates, strict=True))
         # least squares with a ridge, and a limit to its step
         curvature = (first.T @ second + second.T @ first) / 2
         pull = (first + second).T @ drift.ravel() / 2
