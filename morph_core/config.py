@@ -14,7 +14,6 @@ Utility = Literal["standardised", "log_rank"]
 Bounds = Literal["clip", "reflect"]
 Falling = Literal["iterations", "success", "both"]
 Freeze = Literal["go_on", "start_anew"]
-WhileFrozen = Literal["learn", "rest"]
 
 LARGEST = 2**53
 """The largest whole number, up to the sign: beyond it browsers and floats no longer tell them apart."""

@@ -25,8 +25,7 @@ def morph(task: Task, config: "Morph", state: "State") -> Iterator[Progress]:
 
         world = exploration.world(task, state, spread, config.trajectories)  # line 2
         rollout = run_trajectories(task, state, world, config.trajectories)
-        resting = state.frozen and config.proxy.while_frozen == "rest"
-        if rollout.holds_enough and resting:
+        if rollout.holds_enough and state.frozen and exploration.proxy_rests:
             state.control.learn(state, rollout, iteration)
             yield state.advance(iteration, rollout, config.freeze_success)
             continue

@@ -11,7 +11,6 @@ from morph_core.config import (
     NotNegative,
     Positive,
     Settings,
-    WhileFrozen,
 )
 
 
@@ -86,8 +85,6 @@ class ProxyFit(Settings):
     """Learning rate of Adam at the first supervised step before line 1; it falls linearly to almost 0."""
     pairs: CountOrNone = 0
     """Sampled pairs (s, a) on which Eq. 2 is evaluated per iteration; 0 takes all. Each costs one step of Hw-Phy."""
-    while_frozen: WhileFrozen = "learn"
-    """What the proxy does while phi is frozen: it learns on, or it rests, which saves the steps of relabelling."""
 
 
 @dataclass(frozen=True)

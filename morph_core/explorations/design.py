@@ -1,7 +1,7 @@
 """Exploration `design`: every episode runs on Hw-Phy with its own design, drawn around phi."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -35,6 +35,10 @@ class Design(ExploredDesigns, Exploration):
 
     def world(self, task: Task, state: "State", spread: Spread, trajectories: int) -> Hardware:
         return task.hw_phy(spread.designs(state, trajectories))
+
+    @property
+    def proxy_rests(self) -> bool:
+        return self.finish == "policy"
 
     def pull(self, state: "State", rollout: Rollout, pairs: Relabelled, advantage: np.ndarray) -> Pull:
         """Return the pull linearised at F_phi.
