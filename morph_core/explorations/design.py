@@ -27,6 +27,8 @@ class Design(ExploredDesigns, Exploration):
     drift_clip: NotNegative = 0.0
     """Limit of the difference between two designs' z, in units of z: a larger one compares a state in contact with one
     that is free. 0 sets no limit."""
+    finish: Literal["policy_and_proxy", "policy"] = "policy_and_proxy"
+    """What learns once phi is frozen: policy and proxy, or the policy alone, which saves the steps of relabelling."""
 
     name: ClassVar[str] = "design"
 
