@@ -27,7 +27,8 @@ def morph(task: Task, config: "Morph", state: "State") -> Iterator[Progress]:
         rollout = run_trajectories(task, state, world, config.trajectories)
         if rollout.holds_enough and state.frozen and exploration.proxy_rests:
             state.control.learn(state, rollout, iteration)
-            yield state.advance(iteration, rollout, config.freeze_success)
+            sigma = exploration.sigma_shown(spread)
+            yield state.advance(iteration, rollout, config.freeze_success, design_sigma=sigma)
             continue
         if not rollout.holds_enough or not len(
             pairs := relabel_on_hardware(rollout, hw_phy, config.proxy.pairs, state.rng)

@@ -32,8 +32,8 @@ class Drift(Search):
     designs: Annotated[int, Meta(ge=4, multiple_of=4)] = 24
     """Number of designs, in two halves of antithetic pairs, over which dz/dphi is averaged."""
     groups: Count = 1
-    """Groups that the relabelled pairs are split into, each with so many designs of its own: for the same steps, the
-    least squares see more designs."""
+    """Number of groups into which the relabelled pairs are split, each with so many designs of its own: for the same
+    steps of Hw-Phy the least squares see more designs."""
     ridge: NotNegative = 0.2
     """Ridge of the least squares, as a share of the mean curvature."""
     limit: Positive = 1.5
@@ -55,25 +55,18 @@ class Drift(Search):
         """
         if not isinstance(problem.memory, Twin):
             raise ValueError("the search drift needs the memory that it made before the first iteration")
-        space, spread, dataset = problem.space, problem.spread, problem.dataset
-        # dz for pairs of designs phi +- spread
+        space, dataset = problem.space, problem.dataset
         rng = np.random.default_rng(problem.seed)
-        groups = np.array_split(np.arange(len(dataset.s)), min(self.groups, len(dataset.s)))  # of rows of the dataset
-        noises = [spread.noise(space, self.designs // 2, rng) for _ in groups]
-        changes = []  # of each group (P, n, z_size)
-        for rows, noise in zip(groups, noises, strict=True):
-            offset = spread.sigma * space.scale * noise
-            pairs = space.clip(problem.start + np.concatenate([offset, -offset]))
-            z = problem.physics.z(dataset.s[rows], dataset.a[rows], pairs)
-            changes.append(limited(np.nan_to_num(z[: len(noise)] - z[len(noise) :]) / 2, self.drift_clip))
+        groups = np.array_split(np.arange(len(dataset.s)), min(self.groups, len(dataset.s)))
+        tried = [self._tried(problem, rows, rng) for rows in groups]
         # every component of z in units of its own change: contact shakes some more than others
-        unit = np.sqrt((np.concatenate(changes, 1) ** 2).mean((0, 1))) + _SMALLEST_CHANGE
+        unit = np.sqrt((np.concatenate([change for _, change in tried], 1) ** 2).mean((0, 1))) + _SMALLEST_CHANGE
         drift = limited(problem.memory.drift(dataset), self.drift_clip) / unit
         # the two estimates J1, J2 of dz/dphi, by regression on whitened noise
         free = space.free
-        whiten = np.linalg.cholesky(_correlations(space, spread.correlation)[np.ix_(free, free)])
+        whiten = np.linalg.cholesky(_correlations(space, problem.spread.correlation)[np.ix_(free, free)])
         estimates = []  # of each group, twice (n z_size, f)
-        for noise, change in zip(noises, changes, strict=True):
+        for noise, change in tried:
             white = np.linalg.solve(whiten, noise[:, free].T).T
             flat = (change / unit).reshape(len(noise), -1)
             estimates.append([flat[half::2].T @ white[half::2] / len(white[half::2]) for half in (0, 1)])
@@ -86,8 +79,20 @@ class Drift(Search):
         step = vectors @ ((vectors.T @ pull) / np.maximum(values, ridge + 1e-12))
         step *= min(1.0, self.limit / (np.linalg.norm(step) + 1e-12))
         found = problem.start.copy()
-        found[free] += (spread.sigma * space.scale)[free] * (whiten @ step)
+        found[free] += (problem.spread.sigma * space.scale)[free] * (whiten @ step)
         return space.clip(found)[None]
+
+    def _tried(self, problem: Problem, rows: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return noise (P, d), and how far z of the dataset's `rows` changes (P, n, z_size) from phi to phi + noise.
+
+        The change is half of that between the designs of an antithetic pair.
+        """
+        space, dataset = problem.space, problem.dataset
+        noise = problem.spread.noise(space, self.designs // 2, rng)
+        offset = problem.spread.sigma * space.scale * noise
+        designs = space.clip(problem.start + np.concatenate([offset, -offset]))
+        z = problem.physics.z(dataset.s[rows], dataset.a[rows], designs)
+        return noise, limited(np.nan_to_num(z[: len(noise)] - z[len(noise) :]) / 2, self.drift_clip)
 
 
 @dataclass
