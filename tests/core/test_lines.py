@@ -137,10 +137,10 @@ def test_steps_are_counted_by_where_they_were_taken() -> None:
     (first,) = run(method, 1, state)
     steps, searched = 8 * 3, (4 * 2 + 2) * 16
     assert (state.iteration, state.env_steps, first.env_steps) == (1, steps, steps)
-    assert state.relabelled_steps == 3 * 10 + 5 + searched
+    assert (state.relabelled_steps, state.search_steps) == (3 * 10 + 5, searched)
     run(method, 1, state)
     assert (state.iteration, state.env_steps) == (2, 2 * steps)
-    assert state.relabelled_steps == 3 * 10 + 2 * (5 + searched)
+    assert (state.relabelled_steps, state.search_steps) == (3 * 10 + 2 * 5, 2 * searched)
 
 
 def test_steps_after_an_episodes_end_are_not_counted() -> None:
