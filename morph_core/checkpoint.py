@@ -33,7 +33,6 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
             "diverged": state.diverged,
             "control_start": state.control_start,
             "last_reached": state.last_reached,
-            "progress": state.progress,
             "phi": state.phi.tolist(),
             "parameters": msgspec.to_builtins(state.design_space.parameters),
             "alpha": state.alpha,
@@ -66,7 +65,6 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Metho
         state.relabelled_steps, state.diverged = facts["relabelled_steps"], facts[diverged]
         state.search_steps = facts.get("search_steps", 0)  # once counted among those of relabelling
         state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]
-        state.progress = facts.get("progress", 0.0)  # unknown to older checkpoints
         state.phi = space.check(facts["phi"])
         state.alpha, state.projection = facts["alpha"], facts["projection"]
         state.fitted, state.frozen = facts["fitted"], facts["frozen"]

@@ -11,9 +11,6 @@ from msgspec import Meta
 
 Projection = Literal["none", "one_sided", "as_printed"]
 Utility = Literal["standardised", "log_rank"]
-Bounds = Literal["clip", "reflect"]
-Falling = Literal["iterations", "success", "both"]
-Freeze = Literal["go_on", "start_anew"]
 
 LARGEST = 2**53
 """The largest whole number, up to the sign: beyond it browsers and floats no longer tell them apart."""

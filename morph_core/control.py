@@ -46,9 +46,17 @@ class Control:
     def start_afresh(self, weights: torch.Generator) -> None:
         """Make policy, critic and optimiser as they are before anything is learnt."""
         self.policy = Policy(self._task, self._ppo, self._hidden, weights, self._sees_phi)
-        self.critic = Critic(self._task, self._hidden, weights, len(self._task.design_space) if self._sees_phi else 0)
-        parameters = [*self.policy.parameters(), *self.critic.parameters()]
+        self.critic = self._new_critic(weights)
+        parameters = [p for module in self.modules.values() for p in module.parameters()]
         self.optimizer = torch.optim.Adam(parameters, self._ppo.learning_rate, fused=True)
+
+    def _new_critic(self, weights: torch.Generator) -> Critic:
+        return Critic(self._task, self._hidden, weights, len(self._task.design_space) if self._sees_phi else 0)
+
+    @property
+    def modules(self) -> dict[str, nn.Module]:
+        """Return every network, by the name under which a checkpoint holds it."""
+        return {"policy": self.policy, "critic": self.critic}
 
     def set_learning_rate(self, age: int) -> None:
         """Anneal linearly over the schedule; `age` counts the iterations since policy and critic started afresh."""
@@ -71,7 +79,7 @@ class Control:
         standard = (counted - counted.mean()) / (counted.std() + 1e-8)
         return Batch(observation, time, action, log_prob, standard, target)
 
-    def improve(self, batch: Batch, age: int, rng: np.random.Generator, progress: float = 0.0) -> None:
+    def improve(self, batch: Batch, age: int, rng: np.random.Generator) -> None:
         """Take the gradient steps of one iteration, and keep the policy's std below its falling limit."""
         ppo, policy, critic = self._ppo, self.policy, self.critic
         for _ in range(ppo.epochs):
@@ -88,18 +96,7 @@ class Control:
                 nn.utils.clip_grad_norm_(policy.parameters(), ppo.max_grad_norm)
                 nn.utils.clip_grad_norm_(critic.parameters(), 2 * ppo.max_grad_norm)
                 self.optimizer.step()
-        policy.limit_std(self.std_limit(age, progress))
-
-    def std_limit(self, age: int, progress: float) -> float:
-        """Return the limit of the policy's standard deviation, which falls geometrically; `progress` is in [0, 1]."""
-        ppo, by_iterations = self._ppo, self._schedule.share(age)
-        share = {"iterations": by_iterations, "success": progress, "both": max(by_iterations, progress)}[ppo.std_by]
-        return ppo.std * (ppo.std_end / ppo.std) ** share
-
-    def phi_was_frozen(self, state: "State", iteration: int) -> None:
-        """Let the schedule start anew after `iteration` where the settings ask for it; the weights stay."""
-        if self._ppo.at_freeze == "start_anew":
-            state.control_start = iteration
+        policy.limit_std(self._schedule.geometric(ppo.std, ppo.std_end, age))
 
     def learn(self, state: "State", rollout: Rollout, iteration: int) -> np.ndarray:
         """Line 3 for theta: learn from a rollout, and start afresh after being stuck for too long.
@@ -107,8 +104,7 @@ class Control:
         Return the standardised advantages (B,) float32 of the steps alive.
         """
         batch = self.batch(rollout)
-        state.progress = max(state.progress, progress_of(rollout))
-        self.improve(batch, iteration - state.control_start, state.rng, state.progress)
+        self.improve(batch, iteration - state.control_start, state.rng)
         self._restart_where_stuck(state, rollout, iteration)
         return batch.advantage.numpy()
 
@@ -124,9 +120,3 @@ class Control:
         """Start afresh with weights from the run's random numbers, and anneal from after `iteration` on."""
         self.start_afresh(torch.Generator().manual_seed(int(state.rng.integers(2**63))))
         state.control_start = state.last_reached = iteration
-        state.progress = 0.0
-
-
-def progress_of(rollout: Rollout) -> float:
-    """Return the mean share of the episodes that reached the milestones and the goal of the task."""
-    return float(np.mean([*(reached.any(0).mean() for reached in rollout.milestones.values()), rollout.success_rate]))

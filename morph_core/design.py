@@ -74,12 +74,6 @@ class DesignSpace:
         locked = np.array([math.nan if p.locked_at is None else p.locked_at for p in self.parameters])
         return np.where(np.isnan(locked), inside, locked)
 
-    def reflect(self, phi: np.ndarray) -> np.ndarray:
-        """Return phi (..., d) folded back into the box at its bounds, locked entries at their value."""
-        width = self.hi - self.lo
-        beyond = np.mod(phi - self.lo, 2 * width)
-        return self.clip(self.lo + np.minimum(beyond, 2 * width - beyond))
-
     def check(self, phi: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return phi as an array (d,), or raise ValueError that says which entry is not allowed and why."""
         vector = np.asarray(phi, dtype=float)

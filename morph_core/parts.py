@@ -2,16 +2,7 @@
 
 from dataclasses import dataclass
 
-from morph_core.config import (
-    Count,
-    CountOrNone,
-    Falling,
-    Fraction,
-    Freeze,
-    NotNegative,
-    Positive,
-    Settings,
-)
+from morph_core.config import Count, CountOrNone, Fraction, NotNegative, Positive, Settings
 
 
 @dataclass(frozen=True)
@@ -61,11 +52,6 @@ class Ppo(Settings):
     std_end: Positive = 0.2
     """sigma_a: upper limit of the actions' standard deviation at the end of the schedule, as a fraction of the largest
     action."""
-    std_by: Falling = "iterations"
-    """What lowers that limit: the iterations of the schedule, the largest mean share so far of an iteration's episodes
-    that reached the milestones and the goal of the task, or the further one of both."""
-    at_freeze: Freeze = "go_on"
-    """What PPO's schedule does when phi is frozen: it goes on, or learning rate and limit of the noise start anew."""
     restart_interval: CountOrNone = 0
     """Iterations without reaching the first milestone of the task after which policy and critic start afresh, while phi
     stays: a policy can have learnt to avoid what a better design could do. With 0 they never do."""

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from morph_core.config import Bounds, Positive, Settings, Share, Utility
+from morph_core.config import Positive, Settings, Share, Utility
 from morph_core.design import DesignSpace
 from morph_core.parts import Schedule
 
@@ -25,8 +25,6 @@ class Spread:
     """Sigma: standard deviation of the designs, in units of each parameter's scale."""
     correlation: float
     """Share of the variance that the parameters of a group have in common."""
-    bounds: Bounds = "clip"
-    """What happens to a design outside the box."""
 
     def noise(self, space: DesignSpace, count: int, rng: np.random.Generator) -> np.ndarray:
         """Return standard normal noise (count, d) with this correlation."""
@@ -40,8 +38,7 @@ class Spread:
         """Return designs (count, d) around phi: antithetic pairs, inside the box, locked entries kept."""
         space = state.design_space
         half = self.noise(space, count // 2, state.rng)
-        inside = space.reflect if self.bounds == "reflect" else space.clip
-        state.explored = inside(state.phi + self.sigma * space.scale * np.concatenate([half, -half]))
+        state.explored = space.clip(state.phi + self.sigma * space.scale * np.concatenate([half, -half]))
         return state.explored
 
 
@@ -58,8 +55,6 @@ class ExploredDesigns(Settings):
     """Share of the schedule for which the explored designs keep their first Sigma."""
     correlation: Share = 0.0
     """Share of the variance of the explored designs that the parameters of a group have in common."""
-    bounds: Bounds = "clip"
-    """What happens to explored designs outside the box: they are clipped to its bounds, or reflected at them."""
     utility: Utility = "standardised"
     """Rule by which returns become weights: standardised, or CMA-ES's log-rank weights."""
     advantage_limit: Positive = 3.0
@@ -68,7 +63,7 @@ class ExploredDesigns(Settings):
     def spread(self, schedule: Schedule, iteration: int, frozen: bool = False) -> Spread:
         """Return the distribution of an iteration; while phi is frozen all designs are phi."""
         sigma = schedule.geometric(self.sigma, self.sigma_end, iteration, self.hold)
-        return Spread(0.0 if frozen else sigma, self.correlation, self.bounds)
+        return Spread(0.0 if frozen else sigma, self.correlation)
 
     def advantage(self, returns: np.ndarray) -> np.ndarray:
         """Return what episodes (N,) count: their standardised returns, or CMA-ES's weights of their ranks."""

@@ -60,9 +60,6 @@ class State:
     """The iteration after which policy and critic last started afresh."""
     last_reached: int = 0
     """The last iteration in which episodes reached the first milestone of the task."""
-    progress: float = 0.0
-    """The largest mean share of an iteration's episodes that reached the milestones and the goal of the task, since
-    policy and critic last started afresh."""
 
     @property
     def hw_nn(self) -> HwNN:
@@ -80,7 +77,7 @@ class State:
     def modules(self) -> Mapping[str, nn.Module]:
         """Return every network, by the name under which a checkpoint holds it."""
         networks = {name: hw_nn.proxy for name, hw_nn in self.proxies.items()}
-        return {"policy": self.control.policy, "critic": self.control.critic, **networks}
+        return {**self.control.modules, **networks}
 
     @property
     def optimizers(self) -> Mapping[str, torch.optim.Adam]:
@@ -118,9 +115,7 @@ class State:
         self.env_steps += rollout.steps
         self.diverged += rollout.diverged
         reached = rollout.success_rate if success is None else success
-        if not self.frozen and 0 < freeze_success <= reached:
-            self.frozen = True
-            self.control.phi_was_frozen(self, iteration)
+        self.frozen = self.frozen or 0 < freeze_success <= reached
         return Progress(
             iteration=iteration,
             env_steps=self.env_steps,
@@ -136,7 +131,7 @@ def start(task: Task, method: Method, seed: int, design_space: DesignSpace | Non
     """Return the state before the first iteration; everything random in a run comes from `seed`."""
     space = design_space or task.design_space
     weights = torch.Generator().manual_seed(seed)
-    control = Control(task, method.ppo, method.schedule, method.hidden, weights, method.sees_phi)
+    control = method.control(task, weights)
     proxy = HwNN(task, method.proxy_fit, method.hidden, weights) if method.proxy_fit else None
     memory = method.memory(proxy)
     alpha, projection = method.steering

@@ -35,7 +35,8 @@ class Drift(Search):
     """Number of groups into which the relabelled pairs are split, each with so many designs of its own: for the same
     steps of Hw-Phy the least squares see more designs."""
     ridge: NotNegative = 0.2
-    """Ridge of the least squares, as a share of the mean curvature."""
+    """Ridge of the least squares, as a share of the mean curvature of a single estimate of dz/dphi: noise of few
+    designs in a group adds to that, and makes steps shorter."""
     limit: Positive = 1.5
     """Longest step of phi in one search, in units of the explored designs' Sigma."""
 

@@ -165,7 +165,7 @@ def drifted(
     by: Any, drift: Drift, spread: Spread | None = None, space: DesignSpace = SPACE, **others: Any
 ) -> tuple[np.ndarray, Problem]:
     """Return what the search finds where the task has drawn the proxy by this much in phi away from its reference."""
-    spread = spread or Given(0.5, 0.0, rows=SIGNS)
+    spread = spread or Given(0.5, 0.0, SIGNS)
     reference = proxy([[2.0, 0.0], [0.0, 2.0]])
     asked = problem(dataset_of(np.array([2.0, 2.0]) + by), space, spread=spread, memory=Twin(reference), **others)
     (found,) = drift.candidates(asked)
@@ -206,13 +206,13 @@ def ones(by: Any) -> Dataset:
 
 @pytest.mark.parametrize(("clip", "step"), [(0.0, 3.0), (1.0, 1.0), (0.5, 0.5)])
 def test_the_drift_counts_up_to_the_clip(clip: float, step: float) -> None:
-    asked = problem(ones([3.0, 0.0]), spread=Given(0.25, 0.0, rows=SIGNS), memory=Twin(proxy([[2.0, 0.0], [0.0, 2.0]])))
+    asked = problem(ones([3.0, 0.0]), spread=Given(0.25, 0.0, SIGNS), memory=Twin(proxy([[2.0, 0.0], [0.0, 2.0]])))
     found = search(drift_clip=clip).candidates(asked)[0]
     assert found.tolist() == pytest.approx([2.0 + step, 2.0], rel=0.01)
 
 
 def test_the_change_between_two_designs_counts_up_to_the_clip() -> None:
-    asked = problem(ones([0.5, 0.0]), spread=Given(2.0, 0.0, rows=SIGNS), memory=Twin(proxy([[2.0, 0.0], [0.0, 2.0]])))
+    asked = problem(ones([0.5, 0.0]), spread=Given(2.0, 0.0, SIGNS), memory=Twin(proxy([[2.0, 0.0], [0.0, 2.0]])))
     # a change of 2 counts 1: dz/dphi seems half as large, phi goes twice as far
     assert search(drift_clip=1.0).candidates(asked)[0].tolist() == pytest.approx([2.0 + 1.0, 2.0], rel=0.01)
 
@@ -221,7 +221,7 @@ def test_two_halves_of_the_designs_are_multiplied_and_neither_with_itself() -> N
     space = SPACE.with_lock("second", 2.0)
     uneven = np.array([[1, 0], [2, 0], [-1, 0], [-2, 0]])  # in one half the variance is 1, in the other 4
     for ridge, share in ((0.0, (1 + 4) / 2 / (1 * 4)), (1.0, (1 + 4) / 2 / ((1 + 16) / 2))):
-        found, _ = drifted([0.3, 0.0], search(designs=8, ridge=ridge), Given(0.5, 0.0, rows=uneven), space)
+        found, _ = drifted([0.3, 0.0], search(designs=8, ridge=ridge), Given(0.5, 0.0, uneven), space)
         assert found[0] - 2.0 == pytest.approx(0.3 * share, rel=0.01)
         assert found[1] == 2.0
 
@@ -274,7 +274,7 @@ def test_correlated_designs_find_the_same_and_under_a_ridge_what_they_have_in_co
     space, scale = Scales(grouped=True).design_space, 0.5 * np.array([1.0, 2.0])
     covariance = np.array([[1, correlation], [correlation, 1]])
     root = np.linalg.cholesky(covariance)
-    spread = Given(0.5, correlation, rows=SIGNS @ root.T)
+    spread = Given(0.5, correlation, SIGNS @ root.T)
     by = np.array([0.3, -0.4])
     found, _ = drifted(by, search(ridge=ridge), spread, space)
     values, vectors = np.linalg.eigh(root.T @ root)  # of J'J in units of the white noise, up to a factor
@@ -411,7 +411,7 @@ def test_once_phi_was_found_the_proxy_is_the_reference() -> None:
     state.proxy = proxy([[3.0, 0.0], [0.0, 2.0]])
     state.memory = Twin(proxy([[2.0, 0.0], [0.0, 2.0]]))
     dataset = dataset_of([2.3, 2.0])
-    derive_design(Scales(), state, dataset, search(), Given(0.5, 0.0, rows=SIGNS))
+    derive_design(Scales(), state, dataset, search(), Given(0.5, 0.0, SIGNS))
     assert np.allclose(state.phi, [2.3, 2.0], atol=0.01)
     assert weights_of(state.hw_nn) == [[2.0, 0.0], [0.0, 2.0]]
 
