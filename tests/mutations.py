@@ -295,6 +295,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("if rollout.holds_enough and state.frozen and exploration.proxy_rests", "if False"),
         ("if rollout.holds_enough and state.frozen and", "if rollout.holds_enough and"),
     ),
+    *_of(f"{CORE}/explorations/design.py", "core/test_lines.py", ('self.finish == "policy"', "True")),
     *_of(
         f"{CORE}/methods/direct.py", "core/test_lines.py",
         ("self.step * step", "step"),
