@@ -119,7 +119,7 @@ class RunPanel:
         lines = [f"{wording.badge(status)} {wording.text(stage)}"]
         if message and status not in ("failed", "lost", "unreadable"):
             lines.append(wording.text(message))
-        of = f" of {'about ' * (history.record.env_steps is not None)}{planned}" if planned else ""
+        of = f" of {'about ' * (live and history.record.env_steps is not None)}{planned}" if planned else ""
         lines.append(f"iteration <b>{history.iteration}</b>{of}{eta}")
         return wording.paragraph("<br>".join(lines))
 

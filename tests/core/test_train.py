@@ -77,7 +77,7 @@ def test_a_budget_ends_a_run_after_the_iteration_that_reaches_it(tmp_path: Path)
     *before, last = history.progress
     assert before[-1].env_steps < 1500 <= last.env_steps
     assert history.status == "finished"
-    assert history.message == f"the budget of 1500 environment steps is spent after iteration {last.iteration}"
+    assert history.message == f"the budget of 1,500 environment steps is spent after iteration {last.iteration}"
     assert history.planned_iterations == last.iteration
     regular, final = history.evaluations[-2:]
     assert (regular.iteration, regular.episodes, regular.final) == (last.iteration, 4, False)
