@@ -35,7 +35,7 @@ from studio.study.plan import (
     read_study,
     write_study,
 )
-from studio.study.slurm import SlurmOptions
+from studio.study.slurm_options import SlurmOptions
 from studio.study.standing import RunStanding, Standings, by_variant, seconds_left, share_done
 
 POLL_SECONDS = 0.5
