@@ -32,7 +32,7 @@ class Finding:
     subject: str
     """The task and the variants that were looked at."""
     measured: str
-    """By how much, or why nothing can be said."""
+    """Words on how far the claim holds or fails, or on why nothing can be said."""
     seeds: int
     """Seeds that the finding rests on."""
 
