@@ -51,8 +51,13 @@ _.phi_moved
 _.policy_std
 _.size_bytes
 _.source_component_uuid
+_.submitted
 _.transfer_uuid
 _.writing
+
+# Options of Slurm, read by their name.
+_.account
+_.constraint
 
 # Asked for by name: the websocket by the server, the environments by Gymnasium and by other libraries.
 _.bridge

@@ -36,6 +36,7 @@ from studio.study.plan import (
     write_study,
 )
 from studio.study.report import write_report, write_tables_into
+from studio.study.slurm import SlurmOptions
 from studio.study.standing import RunStanding, Standings, by_variant, seconds_left, share_done
 
 POLL_SECONDS = 0.5
@@ -69,9 +70,11 @@ class StudyArguments:
     final_episodes: Annotated[int, tyro.conf.arg(metavar="N")] = 256
     """Episodes of each kind, sampled and deterministic, in the evaluation at the end of every run; 0 for none."""
     launcher: Annotated[str, tyro.conf.arg(metavar="NAME")] = "local"
-    """What gives the runs their trainers: local, a queue over the cores of this machine."""
+    """What gives the runs their trainers: local, a queue over the cores of this machine, or slurm, a cluster's."""
     slots: Annotated[int | None, tyro.conf.arg(metavar="K")] = None
     """Runs at a time; by default one for each core."""
+    slurm: tyro.conf.OmitArgPrefixes[SlurmOptions] = SlurmOptions()
+    """Options of --launcher slurm."""
     status: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Show how far the study in DIR is, and nothing else."""
     cancel: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -123,7 +126,7 @@ def _planned(asked: StudyArguments) -> Study:
 def _run(asked: StudyArguments) -> int:
     if asked.out is None:
         raise UsageError("study: --out is missing: the folder of the study, a new or an empty one")
-    launcher = make_launcher(asked.launcher, asked.slots)
+    launcher = make_launcher(asked.launcher, asked.slots, asked.slurm)
     study, out = _planned(asked), asked.out
     is_new = not (out / STUDY).exists()
     study = write_study(out, study)

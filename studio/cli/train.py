@@ -13,13 +13,14 @@ import tyro
 from morph_core.catalogue import make_task, read_method
 from morph_core.config import paths_of
 from morph_core.history import History
-from morph_core.run_folder import RunFolder, process_alive
+from morph_core.run_folder import LAUNCH, RunFolder, process_alive
 from studio import limits
 from studio.cli.arguments import RunsArguments, UsageError, value_after
 from studio.cli.choice import open_run
 from studio.cli.follow import Outcome, follow
 from studio.cli.wanted import Wanted, parse_wanted
 from studio.new_run import prepare_run
+from studio.study.slurm import Slurm, slurm_launch
 from studio.trainers import spawn_trainer
 
 DEFAULT_ITERATIONS = 100
@@ -56,6 +57,8 @@ def main(words: Sequence[str]) -> int:
     if asked.resume is not None and asked.env_steps is not None:
         raise UsageError("train: a run keeps the budget it was started with: leave out --env-steps")
     folder, further = _resumed(wanted) if asked.resume is not None else (_prepared(wanted), None)
+    if slurm_launch(folder):
+        return _requeue(folder, further, quiet=asked.json)
     outcome = follow(folder, lambda: spawn_trainer(folder, further=further), quiet=asked.json)
     if asked.json:
         json.dump(_document(History(folder), outcome), sys.stdout, indent=2)
@@ -119,6 +122,28 @@ def _resumed(wanted: Wanted) -> tuple[RunFolder, int | None]:
         done = f"{folder.id} is done after {history.iteration} iterations"
         raise UsageError(f"{done}: give --iterations M for M further ones")
     return folder, asked.iterations
+
+
+def _requeue(folder: RunFolder, further: int | None, quiet: bool) -> int:
+    """Put a run back into Slurm's queue, from which it came: a login node is no place for its trainer."""
+    history = History(folder)
+    until = history.iteration + further if further is not None else None
+    slurm = Slurm()
+    try:
+        slurm.resume(folder.path.parent, folder.id, until=until)
+        [place] = slurm.states(folder.path.parent, [folder.id]).values()
+    except ValueError as error:
+        raise UsageError(
+            f"{folder.id} came from Slurm's queue, to which it can't go back: {error}; to go on on this machine "
+            f"instead, remove {folder.path / LAUNCH}"
+        ) from error
+    if quiet:
+        json.dump(_document(history, Outcome(0, "queued", place.where or place.why)), sys.stdout, indent=2)
+        sys.stdout.write("\n")
+    else:
+        at = f"at work on {place.where}" if place.where else f"queued: {place.why}"
+        print(f"{folder.id} is {at}; morph-studio runs shows how it does", file=sys.stderr)  # noqa: T201
+    return 0
 
 
 def _trainer_at_work(folder: RunFolder) -> bool:

@@ -147,6 +147,8 @@ class Local(Launcher):
     def requeue(self, directory: Path, runs: Sequence[str]) -> None:
         for run in runs:
             path = directory / run
+            if launcher_of(path) not in ("", self.name) and not (path / CANCELLED).exists():
+                continue  # in the hands of another launcher: `submit` says so
             (path / CANCELLED).unlink(missing_ok=True)
             if path.is_dir() and (claim := _claim(path / CLAIM)) is not None:  # no trainer of a queue has it
                 with contextlib.closing(claim):

@@ -1,5 +1,7 @@
 """The run folder: one writer, torn lines, an inbox, truth about who is alive."""
 
+import errno
+import fcntl
 import os
 import platform
 import resource
@@ -22,6 +24,7 @@ from morph_core.run_folder import (
     LOST_AFTER,
     EventLog,
     HeartbeatFile,
+    HeldError,
     RunFolderError,
     create_run,
     find_run,
@@ -124,10 +127,36 @@ def test_rubbish_in_the_inbox_is_no_order(tmp_path: Path) -> None:
 
 def test_a_folder_has_one_holder(tmp_path: Path) -> None:
     folder = make_run(tmp_path)
-    with hold(folder), pytest.raises(RunFolderError, match=f"held by another trainer .pid {os.getpid()}"), hold(folder):
+    said = f"held by another trainer .{platform.node()} pid {os.getpid()}"
+    with hold(folder), pytest.raises(HeldError, match=said), hold(folder):
         pass
     with hold(folder):
         pass
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_folder_that_can_not_be_locked_is_not_called_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    said = f"can't be locked .{os.strerror(number)}.: put the runs on a file system with locks"
+    with pytest.raises(RunFolderError, match=said) as refused, hold(make_run(tmp_path)):
+        pass
+    assert not isinstance(refused.value, HeldError)
+
+
+def test_what_was_said_is_on_the_disk_after_a_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, synced = make_run(tmp_path), []
+    monkeypatch.setattr(os, "fsync", lambda number: synced.append(Path(f"/proc/self/fd/{number}").resolve().name))
+    log, file = EventLog(folder), HeartbeatFile(folder)
+    log.append(progress(1))
+    log.sync()
+    file.write(beat("running", 1, 0.0, 0.0))
+    file.sync()
+    assert synced == ["events.jsonl", "heartbeat.json"]
 
 
 def test_a_run_is_written_once(tmp_path: Path) -> None:
