@@ -220,6 +220,11 @@ def test_the_folder_of_a_report_gives_the_same_tables_as_the_study(written: Path
     assert fill(DOCUMENT, "mixed", read_tables(written.parent)) == fill(DOCUMENT, "mixed", read_results(study))
 
 
+def test_the_folder_of_a_report_is_no_study_to_report(written: Path) -> None:
+    with pytest.raises(StudyError, match="holds a report, without the runs of its study"):
+        write_report(written.parent)
+
+
 def test_a_document_without_a_place_is_told_how_to_make_one(written: Path, tmp_path: Path) -> None:
     document = tmp_path / "page.md"
     document.write_text("# nothing\n")
