@@ -594,7 +594,6 @@ MUTANTS: tuple[Mutant, ...] = (
         ("_mean(loss[-ENDS:])", "_mean(loss[-1:])"),
         ("key=lambda e: (e.final, e.iteration)", "key=lambda e: e.iteration"),
         ('self.status in ("finished", "failed")', 'self.status == "finished"'),
-        ("math.isfinite(number := float(value))", "not math.isnan(number := float(value))"),
     ),
     *_of(
         "studio/study/report/claims.py", "studio/test_study_claims.py",
