@@ -14,7 +14,7 @@ from morph_core.protocol import Status
 from studio.cli import run
 from studio.cli import study as cli
 from studio.study import report
-from studio.study.plan import StudyError, Variant, parse_seeds, parse_task, parse_variant, plan_study, read_study
+from studio.study.plan import StudyError, parse_seeds, parse_task, parse_variant, plan_study, read_study
 from studio.study.report import write_report, write_tables_into
 from studio.study.report.claims import CLAIMS
 from studio.study.report.drawing import COLOURS, DASHES, INK, MARKERS, looks, slim
@@ -242,7 +242,8 @@ def test_a_document_without_a_place_is_told_how_to_make_one(written: Path, tmp_p
 
 
 def test_the_command_that_repeats_a_study_is_understood_by_the_command_line() -> None:
-    variants = [Variant("a: b,c", "morph", {"alpha": 0.3, "search": "drift"}), Variant("direct", "direct")]
+    words = ("slow:morph,alpha=0.3,search=drift", "paper,projection=none", "studio", "direct")
+    variants = [parse_variant(word) for word in words]
     study = plan_study([parse_task("reacher,tunnel=paper")], variants, [0, 1, 2, 5], env_steps=10**6, level=0.8)
     said = shlex.split(command_of(study))
     at = {name: said.index(name) for name in ("--methods", "--seeds", "--env-steps", "--level")}
@@ -250,7 +251,7 @@ def test_the_command_that_repeats_a_study_is_understood_by_the_command_line() ->
     assert parse_seeds(said[at["--seeds"] + 1]) == study.seeds
     assert float(said[at["--env-steps"] + 1]) == study.env_steps
     assert float(said[at["--level"] + 1]) == study.level
-    assert parse_variant(said[at["--methods"] + 2]) == variants[1]
+    assert [parse_variant(word) for word in said[at["--methods"] + 1 : at["--seeds"]]] == variants
 
 
 @pytest.mark.parametrize(("seeds", "said"), [([3], "3"), ([0, 1, 2], "0-2"), ([5, 0, 1, 9], "0-1,5,9"), ([], "")])
