@@ -150,7 +150,7 @@ def test_a_single_seed_has_no_interval_and_settles_no_claim(tmp_path: Path) -> N
     write_study(tmp_path / "study", MADE[2:5], [7], iterations=10)
     page = html.fromstring(quickly(tmp_path / "study").read_text())
     assert "1 seed (7)" in words(page)
-    assert "1 of the seeds has ended; 3 are needed" in words(page)
+    assert "seeds that have ended: 1; 3 are needed" in words(page)
     assert not page.xpath("//td[@class='held' or @class='not-held']")
 
 
@@ -304,6 +304,7 @@ def test_the_tables_of_the_documents_are_those_of_the_committed_reports(folder: 
         found += count
     assert found
     assert read_study(folder).runs
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= 1_000_000
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
