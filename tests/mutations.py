@@ -604,4 +604,37 @@ MUTANTS: tuple[Mutant, ...] = (
         "studio/test_bridge.py::test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives",
         ('isinstance(updates, dict) and set(updates) <= {"value"}', "isinstance(updates, dict)"),
     ),
+    # --- the report of a study ---
+    *_of(
+        "studio/study/report/scores.py", "studio/test_study_scores.py",
+        ("tasks, axis), 0.25, axis", "tasks, axis), 0.1, axis"),
+        ("0.5 * (pairs[0] == pairs[1])", "1.0 * (pairs[0] == pairs[1])"),
+        ("1 - np.concatenate", "0.9 - np.concatenate"),
+        ("paired=False", "paired=True"),
+        ("rng=np.random.default_rng(0)", "rng=np.random.default_rng()"),
+    ),
+    *_of(
+        "studio/study/report/results.py", "studio/test_study_results.py",
+        ("_moved(history), strict=True) if moved]", "_moved(history), strict=True)]"),
+        ("getattr(e, name) >= level", "getattr(e, name) > level"),
+        ("_mean(loss[-ENDS:])", "_mean(loss[-1:])"),
+        ("key=lambda e: (e.final, e.iteration)", "key=lambda e: e.iteration"),
+        ('self.status in ("finished", "failed")', 'self.status == "finished"'),
+    ),
+    *_of(
+        "studio/study/report/claims.py", "studio/test_study_claims.py",
+        ("2 * solved(rows, level) >= len(rows)", "2 * solved(rows, level) > len(rows)"),
+        ("solves(with_it, level) and not solves(without, level)", "not solves(without, level)"),
+        ('if k != "projection"}', 'if k == "projection"}'),
+        ("better.low > 0.5", "better.value > 0.5"),
+        ("last <= FALLS_TO * first", "last <= first"),
+        ("row.final < row.initial for row in lengths[2:4]", "row.final < row.initial for row in lengths[2:3]"),
+    ),
+    *_of(
+        "studio/study/live.py", "studio/test_study_live.py",
+        ("seen != self._seen and self._is_due()", "self._is_due()"),
+        ("max(EVERY, self._took / SHARE)", "0"),
+        ("path.is_relative_to(folder)", "True"),
+        ("self._child.kill()", "pass"),
+    ),
 )  # fmt: skip
