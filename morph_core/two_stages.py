@@ -201,7 +201,7 @@ class TwoStageControl(Control):
                 value - batch.design_target[design],
             ]
         )
-        entropy = self.policy.log_std.sum() + self.design_policy.log_std[batch.free].sum()
+        entropy = self.policy.log_std.sum()  # of actions alone: there are so few designs that it would outweigh them
         return 0.5 * (value_error**2).mean() - surrogate - self._ppo.entropy_coef * entropy
 
     def learn_both(self, state: "State", rollout: Rollout, step: np.ndarray, iteration: int) -> None:

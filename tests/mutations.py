@@ -361,7 +361,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("torch.min(ratio * advantage, ", "torch.max(ratio * advantage, "),
         ("ratio.clamp(1 - clip, 1 + clip)", "ratio.clamp(0, 100)"),
         ("value - batch.design_target[design]", "0 * value - batch.design_target[design]"),
-        ("self.design_policy.log_std[batch.free].sum()", "self.design_policy.log_std.sum()"),
+        ("entropy = self.policy.log_std.sum()", "entropy = self.design_policy.log_std.sum()"),
         ("surrogate - self._ppo.entropy_coef", "surrogate + self._ppo.entropy_coef"),
         ("return 0.5 * (value_error", "return 5 * (value_error"),
         ("self._restart_where_stuck(state, rollout, iteration)", "pass"),

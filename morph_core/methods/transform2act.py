@@ -35,7 +35,7 @@ class Transform2Act(Method):
     reduce to one network each for design, control and value. PPO's settings, networks and observations are those of
     the other methods here, so gamma and learning rates are the task's, not .995 and 5e-5, and episodes are as many
     every iteration, not 50 thousand steps of them. The standard deviation of the actions falls by schedule, that of the
-    design is learnt as in the original.
+    design is learnt as in the original. The first action is not counted as an environment step: nothing is simulated.
 
     Bounds, locks and designs that a user sets are obeyed from the next iteration on: steps begin elsewhere, so that the
     mean step leads to where the design was moved. A design that can't be built is drawn back towards phi until it can.
