@@ -330,15 +330,18 @@ MUTANTS: tuple[Mutant, ...] = (
         f"{CORE}/methods/transform2act.py", "core/test_transform2act.py",
         ("head.lead_to(space, state.phi)", "pass"),
         ("head.start.numpy() + step", "step"),
-        ("designs[i] = nearest_buildable(task, state.phi, designs[i])", "pass"),
         ("nearest_buildable(task, state.phi, head.mean_design(space))", "head.mean_design(space)"),
         ("self.trajectories, designs)", "self.trajectories)"),
         ("step[rollout.kept]", "step[: rollout.kept.sum()]"),
         ("designs.std(0) / space.scale", "designs.std(0)"),
         (")[space.free]", ")"),
         ('self.credit == "balanced"', 'self.credit != "balanced"'),
-        ("state.explored = designs", "pass"),
+        ("designs = state.explored = drawn_back", "designs = drawn_back"),
         ("if not rollout.holds_enough", "if False"),
+    ),
+    *_of(
+        f"{CORE}/spread.py", "core/test_transform2act.py core/test_value_gradient.py",
+        ("built[index] = nearest_buildable(task, phi, designs[index])", "pass"),
     ),
     *_of(
         f"{CORE}/two_stages.py", "core/test_transform2act.py",
@@ -372,7 +375,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("surrogate - self._ppo.entropy_coef", "surrogate + self._ppo.entropy_coef"),
         ("return 0.5 * (value_error", "return 5 * (value_error"),
         ("self._restart_where_stuck(state, rollout, iteration)", "pass"),
-        ("self.improve(batch, iteration - state.control_start, ", "self.improve(batch, iteration, "),
+        ("self.improve_both(batch, iteration - state.control_start, ", "self.improve_both(batch, iteration, "),
         ('{**super().modules, "design_policy": self.design_policy}', "super().modules"),
     ),
     *_of(
@@ -421,8 +424,6 @@ MUTANTS: tuple[Mutant, ...] = (
         ("np.clip(phi - size / 2, space.lo, space.hi - size)", "phi - size / 2"),
         ("[half, 1 - half]", "[half, half]"),
         ("designs = space.clip(low", "designs = (low"),
-        ("    for index in np.flatnonzero(~task.buildable(designs)):\n"
-         "        designs[index] = nearest_buildable(task, phi, designs[index])\n", ""),
         ("state.explored[rollout.kept]", "state.explored[: rollout.kept.sum()]"),
         ('if self.slope_at == "window"', "if True"),
         ("space.free, slope * width", "space.free, slope"),

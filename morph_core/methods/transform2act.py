@@ -5,13 +5,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-import numpy as np
 from msgspec import Meta
 
 from morph_core.exploration import run_trajectories
 from morph_core.method import Method
 from morph_core.protocol import Progress
-from morph_core.spread import nearest_buildable
+from morph_core.spread import drawn_back, nearest_buildable
 from morph_core.task import Task
 
 if TYPE_CHECKING:
@@ -73,10 +72,7 @@ class Transform2Act(Method):
             head.lead_to(space, state.phi)
             state.set_learning_rates(self, iteration)
             step = head.draw(self.trajectories, state.rng)
-            designs = design_of(space, head.start.numpy() + step)
-            for i in np.flatnonzero(~task.buildable(designs)):
-                designs[i] = nearest_buildable(task, state.phi, designs[i])
-            state.explored = designs
+            designs = state.explored = drawn_back(task, state.phi, design_of(space, head.start.numpy() + step))
             rollout = run_trajectories(task, state, task.hw_phy(designs), self.trajectories, designs)
             if not rollout.holds_enough:
                 yield state.advance(iteration, rollout)

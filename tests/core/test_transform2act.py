@@ -210,7 +210,7 @@ def batch_of(control: TwoStageControl, **given: Any) -> TwoStageBatch:
 
 def improved(control: TwoStageControl | None = None, **given: Any) -> TwoStageControl:
     control = control or by_hand()
-    control.improve(batch_of(control, **given), 1, np.random.default_rng(0))
+    control.improve_both(batch_of(control, **given), 1, np.random.default_rng(0))
     return control
 
 
@@ -247,7 +247,7 @@ def test_actions_learn_as_without_a_design_stage() -> None:
     )
     with torch.no_grad():
         now = control.policy.log_prob(batch.observation, batch.action)
-    control.improve(dataclasses.replace(batch, log_prob=now), 1, np.random.default_rng(0))
+    control.improve_both(dataclasses.replace(batch, log_prob=now), 1, np.random.default_rng(0))
     assert bias_of(control.policy.mean) == pytest.approx([3 / STD / 3] * 2)
     assert bias_of(control.design_policy.mean) == [0, 0]
 
@@ -276,7 +276,7 @@ def test_gradients_are_clipped_for_each_network() -> None:
 
 def test_the_stds_limit_is_that_of_the_schedule() -> None:
     control = by_hand(ppo={"std": 0.8, "std_end": 0.2})
-    control.improve(batch_of(control, advantage=[0.0]), 10, np.random.default_rng(0))
+    control.improve_both(batch_of(control, advantage=[0.0]), 10, np.random.default_rng(0))
     assert control.policy.std.tolist() == pytest.approx([0.2] * 2)
     assert control.design_policy.std.tolist() == pytest.approx([0.5] * 2)
 
@@ -400,6 +400,7 @@ def test_a_policy_that_starts_afresh_keeps_the_design() -> None:
     assert state.control_start == 6
     assert control_of(state).design_policy is head
     assert progress[-1].phi == head.mean_design(SPACE).tolist() != SPACE.initial.tolist()
+    assert progress[-1].policy_std == pytest.approx(ppo.std, abs=0.02)  # whose limit falls anew, from .5
     parameters = {id(p) for p in control_of(state).optimizer.param_groups[0]["params"]}
     assert parameters == {id(p) for module in state.control.modules.values() for p in module.parameters()}
 
