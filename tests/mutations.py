@@ -423,7 +423,7 @@ MUTANTS: tuple[Mutant, ...] = (
         (", self.width_end, iteration, self.hold)", ", self.width_end, iteration)"),
         ("np.clip(phi - size / 2, space.lo, space.hi - size)", "phi - size / 2"),
         ("[half, 1 - half]", "[half, half]"),
-        ("designs = space.clip(low", "designs = (low"),
+        ("space.clip(low", "(low"),
         ("state.explored[rollout.kept]", "state.explored[: rollout.kept.sum()]"),
         ('if self.slope_at == "window"', "if True"),
         ("space.free, slope * width", "space.free, slope"),

@@ -355,6 +355,19 @@ def test_only_designs_that_were_kept_are_learnt_from(monkeypatch: pytest.MonkeyP
     assert state.diverged == 8 - len(step)
 
 
+def test_an_iteration_whose_every_simulation_diverges_is_skipped() -> None:
+    @dataclass(frozen=True)
+    class Broken(Scales):
+        def hw_phy(self, phi: np.ndarray) -> Any:
+            return super().hw_phy(np.full(phi.shape, np.nan))
+
+    state = begun()
+    before = copy.deepcopy({name: module.state_dict() for name, module in state.modules.items()})
+    assert [(p.phi, p.episode_return) for p in run(2, state, Broken(largest=20.0))] == [([2.0, 2.0], 0.0)] * 2
+    for name, module in state.modules.items():
+        assert all(torch.equal(before[name][key], value) for key, value in module.state_dict().items())
+
+
 # --- what can't be built, and what is not free ---
 
 
@@ -430,6 +443,7 @@ def test_bounds_and_locks_are_obeyed_from_the_next_iteration_on(monkeypatch: pyt
         assert designs[:, 0].max() <= 6.0
         assert set(designs[:, 1]) == {7.0}
     assert all(5 <= p.phi[0] <= 6 and p.phi[1] == 7.0 for p in progress)
+    assert progress[-1].design_sigma == pytest.approx(seen[-1][0][:, 0].std())  # of what is free, in its scale of 1 m
     apply_edit(Unlock("second"), state, WIDE)
     run(1, state, method=method)
     assert seen[-1][0][:, 1].mean() == pytest.approx(7.0, abs=0.3)
