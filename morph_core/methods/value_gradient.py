@@ -13,7 +13,7 @@ from morph_core.exploration import run_trajectories
 from morph_core.method import Method
 from morph_core.parts import Schedule
 from morph_core.protocol import Progress
-from morph_core.spread import nearest_buildable
+from morph_core.spread import drawn_back, nearest_buildable
 from morph_core.task import Task
 
 if TYPE_CHECKING:
@@ -110,10 +110,7 @@ def designs_in_window(task: Task, state: "State", width: float, count: int) -> n
     size = width * (space.hi - space.lo)
     low = np.clip(phi - size / 2, space.lo, space.hi - size)
     half = state.rng.random((count // 2, len(space)))
-    designs = space.clip(low + size * np.concatenate([half, 1 - half]))
-    for index in np.flatnonzero(~task.buildable(designs)):
-        designs[index] = nearest_buildable(task, phi, designs[index])
-    return designs
+    return drawn_back(task, phi, space.clip(low + size * np.concatenate([half, 1 - half])))
 
 
 def ascended(space: DesignSpace, phi: np.ndarray, slope: np.ndarray, step: float) -> np.ndarray:
