@@ -416,8 +416,6 @@ MUTANTS: tuple[Mutant, ...] = (
         ("designs = space.clip(low", "designs = (low"),
         ("    for index in np.flatnonzero(~task.buildable(designs)):\n"
          "        designs[index] = nearest_buildable(task, phi, designs[index])\n", ""),
-        ("state.explored[rollout.kept]", "state.explored[: rollout.kept.sum()]"),
-        ('if self.slope_at == "window"', "if True"),
         ("space.free, slope * width", "space.free, slope"),
         ("np.where(space.free, slope * width, 0.0)", "slope * width"),
         ("(phi <= space.lo) & (direction < 0)", "(phi <= space.lo)"),
@@ -430,8 +428,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         f"{CORE}/control.py", "core/test_value_gradient.py",
-        ("seen], 1), torch.zeros(len(seen))", "seen], 1), torch.ones(len(seen))"),
-        ("slopes.numpy().mean(0, dtype=float)", "slopes.numpy().sum(0, dtype=float)"),
+        ("torch.zeros(len(told))).mean()", "torch.ones(len(told))).mean()"),
+        ("torch.zeros(len(told))).mean()", "torch.zeros(len(told))).sum()"),
         (" * 2 / (hi - lo)", ""),
     ),
     *_of(
