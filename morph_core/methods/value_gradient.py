@@ -62,8 +62,8 @@ class ValueGradient(Method):
     step_end: Fraction = 0.3
     """Step of phi at the end of the schedule, to which it falls geometrically, as a fraction of the first one."""
     wait: Share = 0.05
-    """Share of the schedule that is over before phi takes its first step: a critic that has learnt nothing says
-    nothing of phi."""
+    """Share of the schedule for which phi stays at the start, and where policy and critic start afresh: a critic that
+    has learnt nothing says nothing of phi."""
     freeze_success: Share = 0.5
     """Share of successful trajectories from which on phi is frozen and every episode runs on it; 0 never freezes it.
     The step does not shrink where the slope is small: without an end it leads away from a design that was found."""
@@ -83,7 +83,8 @@ class ValueGradient(Method):
             rollout = run_trajectories(task, state, world, self.trajectories, state.explored)
             if rollout.holds_enough:
                 state.control.learn(state, rollout, iteration)
-                if not state.frozen and self.schedule.share(iteration) >= self.wait:
+                age = iteration - state.control_start
+                if not state.frozen and self.schedule.share(age) >= self.wait:
                     start = rollout.observation[0, :, : task.observation_size]
                     slope = state.control.value_slope(start, state.phi)
                     target = ascended(state.design_space, state.phi, slope, self._step(iteration))

@@ -221,6 +221,15 @@ def test_phi_waits_for_the_critic() -> None:
     assert phi[3][0] > 2.0
 
 
+def test_phi_waits_for_a_critic_that_has_started_afresh() -> None:
+    method = dataclasses.replace(PEER, wait=0.3)
+    state = with_critic([1.0, 1.0], method)
+    state.control_start = 2
+    phi = [p.phi for p in run(6, state, method=method)]
+    assert phi[:5] == [[2.0, 2.0]] * 5
+    assert phi[5][0] > 2.0
+
+
 def test_the_slope_is_taken_at_the_present_phi_and_the_start_states_of_the_iteration(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
