@@ -59,6 +59,9 @@ class Transform2Act(Method):
             task, self.ppo, self.schedule, self.hidden, weights, self.design_std, self.credit == "balanced"
         )
 
+    def rules(self) -> str:
+        return f"{self.title}, credit of designs {self.credit}"
+
     def iterations(self, task: Task, state: "State") -> Iterator[Progress]:
         from morph_core.two_stages import TwoStageControl, design_of
 

@@ -75,11 +75,13 @@ class Fragile(Reacher):
         return dataclasses.replace(step, z=z, diverged=broken, terminated=step.terminated & ~broken)
 
 
-def make_run(runs: Path, name: str = "run", method: Method = SMALL, seed: int = 0, iterations: int = 6) -> RunFolder:
+def make_run(
+    runs: Path, name: str = "run", method: Method = SMALL, seed: int = 0, iterations: int = 6, **ends: int
+) -> RunFolder:
     """Return a fresh run folder of the reacher."""
     record = RunRecord(
         format=FORMAT, id=name, task="reacher", method=method.name, seed=seed, iterations=iterations,
         config=recorded(method), parameters=list(make_task("reacher").design_space.parameters), versions={},
-        created=time.time(),
+        created=time.time(), **ends,
     )  # fmt: skip
     return create_run(runs, record)
