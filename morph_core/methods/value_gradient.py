@@ -64,7 +64,7 @@ class ValueGradient(Method):
     wait: Share = 0.05
     """Share of the schedule for which phi stays at the start, and where policy and critic start afresh: a critic that
     has learnt nothing says nothing of phi."""
-    freeze_success: Share = 0.5
+    freeze_success: Share = 0.9
     """Share of successful trajectories from which on phi is frozen and every episode runs on it; 0 never freezes it.
     The step does not shrink where the slope is small: without an end it leads away from a design that was found."""
     designs: Window = Window()
