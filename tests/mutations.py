@@ -420,7 +420,8 @@ MUTANTS: tuple[Mutant, ...] = (
         ("self.trajectories, state.explored)", "self.trajectories)"),
         ("if rollout.holds_enough", "if True"),
         ("not state.frozen and self", "self"),
-        ("(iteration) >= self.wait", "(iteration) > self.wait"),
+        ("(age) >= self.wait", "(age) > self.wait"),
+        ("age = iteration - state.control_start", "age = iteration"),
         ("state.phi = nearest_buildable(task, state.phi, target)", "state.phi = target"),
         ("rollout, self.freeze_success", "rollout, 0.0"),
         ("self.step * self.schedule", "self.schedule"),
@@ -428,9 +429,9 @@ MUTANTS: tuple[Mutant, ...] = (
         (", self.width_end, iteration, self.hold)", ", self.width_end, iteration)"),
         ("np.clip(phi - size / 2, space.lo, space.hi - size)", "phi - size / 2"),
         ("[half, 1 - half]", "[half, half]"),
-        ("space.clip(low", "(low"),
-        ("state.explored[rollout.kept]", "state.explored[: rollout.kept.sum()]"),
-        ('if self.slope_at == "window"', "if True"),
+        ("designs = space.clip(low", "designs = (low"),
+        ("    for index in np.flatnonzero(~task.buildable(designs)):\n"
+         "        designs[index] = nearest_buildable(task, phi, designs[index])\n", ""),
         ("space.free, slope * width", "space.free, slope"),
         ("np.where(space.free, slope * width, 0.0)", "slope * width"),
         ("(phi <= space.lo) & (direction < 0)", "(phi <= space.lo)"),
@@ -443,8 +444,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         f"{CORE}/control.py", "core/test_value_gradient.py",
-        ("seen], 1), torch.zeros(len(seen))", "seen], 1), torch.ones(len(seen))"),
-        ("slopes.numpy().mean(0, dtype=float)", "slopes.numpy().sum(0, dtype=float)"),
+        ("torch.zeros(len(told))).mean()", "torch.ones(len(told))).mean()"),
+        ("torch.zeros(len(told))).mean()", "torch.zeros(len(told))).sum()"),
         (" * 2 / (hi - lo)", ""),
     ),
     *_of(
