@@ -159,6 +159,16 @@ MUTANTS: tuple[Mutant, ...] = (
         ("rng if sampled else None", "rng"),
         ("rollout.s[steps, episode] if steps < len(rollout.s) else rollout.last_s[episode]", "rollout.last_s[episode]"),
     ),
+    # --- the reacher's contact ---
+    *_of(
+        f"{CORE}/tasks/reacher.py", "core/test_reacher.py",
+        ("touches[1:] |= ", "touches[1:] &= "),
+        ("(before[1:] != before[:-1]) & ", ""),
+        ("touches = (x >= self.xs[0]) & ", "touches = "),
+        ("(np.minimum(first, end) - begin) / n", "(first - begin) / n"),
+        ("posture - (begin - 1)[of]", "posture - begin[of]"),
+        ("turned[0] -= across[1]", "turned[0] += across[1]"),
+    ),
     # --- explorations ---
     *_of(
         f"{CORE}/exploration.py", "core/test_pull.py",
