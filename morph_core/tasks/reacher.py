@@ -392,8 +392,10 @@ class Reacher(Settings, Task):
     def _contact(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return where outlines (P, N) are deepest in a wall: (N, 3) m, NaN where x is."""
         contact = np.full((x.shape[1], 3), np.nan)
-        hit = np.isfinite(x[0])
-        contact[hit] = np.pad(self.walls.deepest(x[:, hit], y[:, hit]), ((0, 0), (0, 1)))
+        hit = np.isfinite(x[0]).nonzero()[0]
+        if len(hit):
+            contact[hit, :2] = self.walls.deepest(x[:, hit], y[:, hit])
+            contact[hit, 2] = 0.0
         return contact
 
     def _outline(self, hardware: Hardware, s: np.ndarray, a: np.ndarray) -> np.ndarray:
