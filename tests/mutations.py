@@ -32,17 +32,16 @@ MUTANTS: tuple[Mutant, ...] = (
     # --- policy and critic ---
     *_of(
         f"{CORE}/control.py", "core/test_ppo.py",
-        ("torch.min(ratio * advantage, limited * advantage).mean()", "(ratio * advantage).mean()"),
-        ("torch.min(ratio * advantage", "torch.max(ratio * advantage"),
-        ("ratio.clamp(1 - ppo.clip_coef, ", "ratio.clamp(0, "),
-        (", 1 + ppo.clip_coef)", ", 100)"),
-        ("- ppo.entropy_coef * policy", "+ ppo.entropy_coef * policy"),
-        ("loss = 0.5 * (value_error", "loss = 5 * (value_error"),
+        ("torch.heaviside(limited * advantage - ratio * advantage, torch.tensor(0.5))", "torch.ones_like(ratio)"),
+        ("limited * advantage - ratio * advantage", "ratio * advantage - limited * advantage"),
+        ("ratio.clamp(1 - clip, ", "ratio.clamp(0, "),
+        (", 1 + clip)", ", 100)"),
+        ("- self._ppo.entropy_coef", "+ self._ppo.entropy_coef"),
+        ("value_error * (1 / len(some))", "value_error * (10 / len(some))"),
         ("policy.limit_std(self._schedule.geometric(ppo.std, ppo.std_end, age))", "pass"),
         ('["lr"] = self._ppo.learning_rate * factor', '["lr"] = self._ppo.learning_rate'),
-        ("nn.utils.clip_grad_norm_(policy.parameters(), ppo.max_grad_norm)", "pass"),
-        ("nn.utils.clip_grad_norm_(critic.parameters(), 2 * ppo", "nn.utils.clip_grad_norm_(critic.parameters(), ppo"),
-        ("                self.optimizer.zero_grad()\n", ""),
+        ("nn.utils.clip_grad_norm_(of_policy, ppo.max_grad_norm)", "pass"),
+        ("nn.utils.clip_grad_norm_(of_critic, 2 * ppo", "nn.utils.clip_grad_norm_(of_critic, ppo"),
         ("for _ in range(ppo.epochs)", "for _ in range(1)"),
         ("self.improve(batch, iteration - state.control_start, ", "self.improve(batch, iteration, "),
         ("return batch.advantage.numpy()", "return batch.value_target.numpy()"),
@@ -53,6 +52,20 @@ MUTANTS: tuple[Mutant, ...] = (
         ("0 < self._ppo.restart_interval", "0 <= self._ppo.restart_interval"),
         ("state.control_start = state.last_reached = iteration", "state.last_reached = iteration"),
         ("manual_seed(int(state.rng.integers(2**63)))", "manual_seed(0)"),
+    ),
+    *_of(
+        f"{CORE}/control.py", "core/test_passes.py",
+        ("torch.tensor(0.5)", "torch.tensor(1.0)"),
+        ("pulls.masked_fill_(limited == ratio, 1.0)", "pass"),
+        ("(pull * (u / std)).sum(0) - ", "(pull * (u / std)).sum(0) + "),
+        ("of_std * inside * log_std.exp()", "of_std * log_std.exp()"),
+        ("of_std * inside * log_std.exp()", "of_std * inside"),
+    ),
+    *_of(
+        f"{CORE}/passes.py", "core/test_passes.py",
+        ("reversed(self._seen)", "self._seen"),
+        ("slope.t().mm(seen), slope.sum(0)", "slope.t().mm(seen), slope.mean(0)"),
+        ("tanh_backward(slope.mm(layer.weight), seen)", "tanh_backward(slope.mm(layer.weight), seen.tanh())"),
     ),
     *_of(
         f"{CORE}/control.py", "core/test_gae.py",
@@ -145,6 +158,16 @@ MUTANTS: tuple[Mutant, ...] = (
         (".sum() / episodes)", ".mean())"),
         ("rng if sampled else None", "rng"),
         ("rollout.s[steps, episode] if steps < len(rollout.s) else rollout.last_s[episode]", "rollout.last_s[episode]"),
+    ),
+    # --- the reacher's contact ---
+    *_of(
+        f"{CORE}/tasks/reacher.py", "core/test_reacher.py",
+        ("touches[1:] |= ", "touches[1:] &= "),
+        ("(before[1:] != before[:-1]) & ", ""),
+        ("touches = (x >= self.xs[0]) & ", "touches = "),
+        ("(np.minimum(first, end) - begin) / n", "(first - begin) / n"),
+        ("posture - (begin - 1)[of]", "posture - begin[of]"),
+        ("turned[0] -= across[1]", "turned[0] += across[1]"),
     ),
     # --- explorations ---
     *_of(
