@@ -98,17 +98,18 @@ class Control:
                 self.optimizer.step()
         policy.limit_std(self._schedule.geometric(ppo.std, ppo.std_end, age))
 
-    def value_slope(self, observation: np.ndarray, designs: np.ndarray) -> np.ndarray:
-        """Return dV/dphi (d,), averaged over episodes on `designs` (N, d) at their start.
+    def value_slope(self, observation: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        """Return dV/dphi (d,) of the critic's mean value at the start of episodes on phi (d,).
 
         `observation` (N, o) is what the task shows of their start states. ValueError for a policy that does not see
         phi.
         """
-        seen = torch.from_numpy(self.policy.phi_seen(designs)).requires_grad_()
-        value = self.critic(torch.cat([torch.from_numpy(observation), seen], 1), torch.zeros(len(seen)))
-        (slopes,) = torch.autograd.grad(value.sum(), seen)
+        seen = torch.from_numpy(self.policy.phi_seen(phi)).requires_grad_()
+        told = torch.cat([torch.from_numpy(observation), seen.expand(len(observation), -1)], 1)
+        value = self.critic(told, torch.zeros(len(told))).mean()
+        (slope,) = torch.autograd.grad(value, seen)
         lo, hi = self._task.design_space.hard_box
-        return slopes.numpy().mean(0, dtype=float) * 2 / (hi - lo)
+        return slope.numpy().astype(float) * 2 / (hi - lo)
 
     def learn(self, state: "State", rollout: Rollout, iteration: int) -> np.ndarray:
         """Line 3 for theta: learn from a rollout, and start afresh after being stuck for too long.

@@ -256,8 +256,6 @@ def report(runs: Sequence[Run]) -> None:
             each = " ".join(f"{run.curve[at][2]:.2f}" for run in made)
             rate = f"{steps / 1e6:.2f} M {cpu:5.1f} CPU-s"
             shown.append(f"{side} {rate} success {success:.2f} ({each}) return {returns:.2f}")
-                f"{side} {steps / 1e6:.2f} M {cpu:5.1f} CPU-s success {success:.2f} ({each}) return {returns:.2f}"
-            )
         print(" | ".join(shown))
 
 
