@@ -16,6 +16,7 @@ from morph_core.methods.no_hw_opt import NoHwOpt
 from morph_core.methods.proxy import Morph
 from morph_core.parts import Ppo, ProxyFit, Schedule
 from morph_core.searches.cma import Cma
+from morph_core.searches.cma_debiased import CmaDebiased
 from morph_core.searches.drift import Drift
 from morph_core.spread import ExploredDesigns
 from morph_core.task import Hardware, Task, Transition
@@ -54,6 +55,7 @@ _MORPH = Morph(
     search=Drift(pairs=256, drift_clip=0.2, ridge=1.0),
 )
 _CMA = Cma(pairs=256, population=10, generations=6)
+_CMA_DEBIASED = CmaDebiased(pairs=256, drift_clip=0.2)
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ class GraspTask(Settings, Task):
 
     @property
     def tuned(self) -> tuple[Settings, ...]:
-        return (_MORPH, _DIRECT, _NO_HW_OPT, _CMA)
+        return (_MORPH, _DIRECT, _NO_HW_OPT, _CMA, _CMA_DEBIASED)
 
     @property
     @abstractmethod
