@@ -7,7 +7,6 @@ import numpy as np
 from msgspec import Meta
 
 from morph_core.config import Count, Positive
-from morph_core.evolution import Evolution, Region, evolve
 from morph_core.search import Problem, Search
 
 
@@ -28,7 +27,32 @@ class Cma(Search):
         return np.stack([problem.start, self._best(problem)])
 
     def _best(self, problem: Problem) -> np.ndarray:
-        space = problem.space
-        region = Region(space, problem.start, space.scale, space.lo, space.hi)
-        evolution = Evolution(self.population, self.generations, self.sigma0, problem.seed)
-        return evolve(region, evolution, lambda candidates: problem.physics.costs(problem.dataset, candidates)).best
+        space, physics = problem.space, problem.physics
+        free, scale = space.free, space.scale[space.free]
+        low, high = space.lo[free] / scale, space.hi[free] / scale
+
+        def complete(free_entries: np.ndarray) -> np.ndarray:
+            """Return candidates (P, d) in physical units from free entries (P, f) in units of scale."""
+            candidates = np.tile(problem.start, (len(free_entries), 1))
+            candidates[:, free] = free_entries * scale
+            return space.clip(candidates)
+
+        if free.sum() == 1:  # cma needs two dimensions; along a line a grid is as good
+            grid = np.linspace(space.lo[free], space.hi[free], self.population * self.generations)
+            candidates = complete(grid / scale)
+            return candidates[np.argmin(physics.costs(problem.dataset, candidates))]
+
+        import cma
+
+        options = {
+            "bounds": [list(low), list(high)],
+            "popsize": self.population,
+            "maxiter": self.generations,
+            "seed": problem.seed,
+            "verbose": -9,
+        }
+        es = cma.CMAEvolutionStrategy(problem.start[free] / scale, self.sigma0, options)
+        while not es.stop():
+            population = es.ask()
+            es.tell(population, physics.costs(problem.dataset, complete(np.array(population))).tolist())
+        return complete(np.asarray(es.result.xbest)[None])[0]

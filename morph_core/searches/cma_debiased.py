@@ -10,7 +10,6 @@ from msgspec import Meta
 
 from morph_core.config import Count, NotNegative, Positive
 from morph_core.divergence import limited
-from morph_core.evolution import Evolution, Region, evolve
 from morph_core.search import Problem, Search, mean_over_pairs
 from morph_core.twin import Twin
 
@@ -21,7 +20,7 @@ _SMALLEST_VARIANCE = 1e-6
 """Number in squared units of z that is added to the variance of z over designs, so that a component that nothing
 changes is not divided by 0."""
 _NARROWEST = 0.1
-"""Least step size with which a warm CMA-ES begins, as a share of sigma0: it must still find a phi that has moved on."""
+"""Least standard deviation with which a warm CMA-ES begins, as a share of sigma0: what the proxy asks moves on."""
 
 
 @dataclass(frozen=True)
@@ -45,17 +44,17 @@ class CmaDebiased(Search):
     """Limit of the difference between two designs' z, in units of z: a larger one compares a state in contact with one
     that is free. 0 sets no limit."""
     limit: Positive = 0.5
-    """Largest change of each entry of phi in one search, in units of the explored designs' Sigma: the policy must be
-    able to follow."""
+    """Longest step of phi in one search, in units of the explored designs' Sigma: the policy must be able to follow."""
     pull: NotNegative = 0.0
-    """Cost of a change of phi by Sigma in one entry, which grows with its square."""
+    """Cost of a step of phi by the explored designs' Sigma, which grows with its square."""
     target: Literal["proxy", "drift"] = "proxy"
     """What the physics are to match: the proxy itself, or the present design's physics changed by the drift, which is
     what the task asks of the proxy. The second leaves out where the proxy does not fit Hw-Phy."""
     settle: Literal["proxy", "nothing"] = "proxy"
     """What happens once phi has moved: the proxy starts again from what its twin learnt of Hw-Phy alone, or nothing."""
-    start: Literal["phi", "warm"] = "phi"
-    """Where CMA-ES begins: at phi with sigma0, or with the mean and step size with which the last search ended."""
+    start: Literal["fresh", "warm"] = "fresh"
+    """How widely CMA-ES begins: with sigma0 along every axis, or as wide along each as the last search ended, at
+    most with sigma0."""
 
     name: ClassVar[str] = "cma_debiased"
 
@@ -63,45 +62,72 @@ class CmaDebiased(Search):
         return Ended(copy.deepcopy(hw_nn), self.settle == "proxy")
 
     def candidates(self, problem: Problem) -> np.ndarray:
-        """Return the one phi in the middle of CMA-ES's last distribution: of many noisy costs the least is luck."""
-        memory, space, phi = problem.memory, problem.space, problem.start
+        """Return the one phi in the middle of CMA-ES's distributions, over the second half of its generations: of many
+        noisy costs the least is luck. All is along the axes in which the explored designs vary independently."""
+        memory, space = problem.memory, problem.space
         if not isinstance(memory, Ended):
             raise ValueError("the search cma_debiased needs the memory that it made before the first iteration")
-        unit = problem.spread.sigma * space.scale
-        lo, hi = np.maximum(space.lo, phi - self.limit * unit), np.minimum(space.hi, phi + self.limit * unit)
-        mean, sigma0 = phi, self.sigma0
-        if self.start == "warm" and memory.mean is not None:
-            mean = np.clip(memory.mean, lo, hi)
-            sigma0 = float(np.clip(memory.sigma, _NARROWEST * self.sigma0, self.sigma0))
-        evolution = Evolution(self.population, self.generations, sigma0, problem.seed)
-        ended = evolve(Region(space, mean, unit, lo, hi), evolution, self.costs(problem, memory, unit))
-        memory.mean, memory.sigma = ended.mean, ended.sigma
-        return ended.mean[None]
+        import cma
 
-    def costs(self, problem: Problem, twin: Twin, unit: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        free = space.free
+        whiten = np.linalg.cholesky(problem.spread.correlations(space)[np.ix_(free, free)])
+        costs, unit = self.costs(problem, memory), problem.spread.sigma * space.scale
+        axes = max(2, len(whiten))  # cma needs two; the second of a single parameter means nothing
+
+        def designs(steps: np.ndarray) -> np.ndarray:
+            """Return phi (P, d) after steps (P, axes) in units of the explored Sigma, along its independent axes."""
+            found = np.tile(problem.start, (len(steps), 1))
+            found[:, free] += unit[free] * (steps[:, : len(whiten)] @ whiten.T)
+            return space.clip(found)
+
+        options = {
+            "popsize": self.population,
+            "maxiter": self.generations,
+            "seed": problem.seed,
+            "verbose": -9,
+            "CMA_stds": self._first_stds(memory, axes),
+        }
+        es, means = cma.CMAEvolutionStrategy(np.zeros(axes), self.sigma0, options), []
+        while not es.stop():
+            steps = np.array(es.ask())
+            es.tell(list(steps), (costs(designs(steps)) + self.pull * (steps**2).sum(-1)).tolist())
+            means.append(es.mean)
+        memory.stds = np.asarray(es.result.stds)
+        step = np.mean(means[len(means) // 2 :], 0)
+        step *= min(1.0, self.limit / (np.linalg.norm(step) + 1e-12))
+        return designs(step[None])
+
+    def _first_stds(self, memory: "Ended", axes: int) -> np.ndarray:
+        """Return the first standard deviations (axes,), as shares of sigma0."""
+        if self.start == "fresh" or memory.stds is None or len(memory.stds) != axes:  # a user has locked one since
+            return np.ones(axes)
+        return np.clip(memory.stds / self.sigma0, _NARROWEST, 1.0)
+
+    def costs(self, problem: Problem, twin: Twin) -> Callable[[np.ndarray], np.ndarray]:
         """Return the cost (P,) of candidates phi (P, d), with noise of its own each time it is called.
 
         mean over pairs of sum_d W_d e1_d e2_d, e_k = F_{phi' + delta_k}(s, a) - target, with W_d one over the variance
         of z_d over the explored designs.
         """
         dataset, rng = problem.dataset, np.random.default_rng(problem.seed)
+        unit = problem.spread.sigma * problem.space.scale
         halves = [problem.physics.z_each(dataset.s, dataset.a, self._smeared(problem, problem.start[None], half))
                   for half in self._noise(problem, unit, rng)]  # fmt: skip
         change = limited((halves[0] - halves[1])[0] / 2, self.drift_clip)  # at two designs each, half their difference
         weight = 1 / (2 * np.nanmean(change**2, 0) + _SMALLEST_VARIANCE)
         drift = limited(twin.drift(dataset), self.drift_clip)
 
+        def errors(candidates: np.ndarray, noise: np.ndarray) -> np.ndarray:
+            if self.target == "proxy":
+                z = problem.physics.z_each(dataset.s, dataset.a, self._smeared(problem, candidates, noise))
+                return limited(z - dataset.z, self.drift_clip)
+            asked = np.concatenate([problem.start[None], candidates])
+            z = problem.physics.z_each(dataset.s, dataset.a, self._smeared(problem, asked, noise))
+            return limited(z[1:] - z[0], self.drift_clip) - drift
+
         def costs(candidates: np.ndarray) -> np.ndarray:
-            errors = []
-            for noise in self._noise(problem, self.smear * unit, rng):
-                asked = candidates if self.target == "proxy" else np.concatenate([problem.start[None], candidates])
-                z = problem.physics.z_each(dataset.s, dataset.a, self._smeared(problem, asked, noise))
-                if self.target == "proxy":
-                    errors.append(limited(z - dataset.z, self.drift_clip))
-                else:
-                    errors.append(limited(z[1:] - z[0], self.drift_clip) - drift)
-            far = (((candidates - problem.start) / unit) ** 2).sum(-1)
-            return split_halves(*errors, weight) + self.pull * far
+            first, second = (errors(candidates, noise) for noise in self._noise(problem, self.smear * unit, rng))
+            return split_halves(first, second, weight)
 
         return costs
 
@@ -127,21 +153,15 @@ class Ended(Twin):
     """The twin of the proxy, and how the last CMA-ES ended."""
 
     settles: bool
-    mean: np.ndarray | None = None  # (d,)
-    sigma: float = 0.0
+    stds: np.ndarray | None = None  # (axes,)
+    """Standard deviations of its last distribution, in units of the explored designs' Sigma; None before the first."""
 
     @property
     def facts(self) -> dict[str, object]:
-        return {} if self.mean is None else {"mean": self.mean.tolist(), "sigma": self.sigma}
+        return {} if self.stds is None else {"stds": self.stds.tolist()}
 
     def recall(self, facts: Mapping[str, Any]) -> None:
-        if facts:
-            self.mean, self.sigma = np.array(facts["mean"]), facts["sigma"]
-
-    def proxy_was_fitted(self, hw_nn: "HwNN") -> None:
-        """Let the reference start as the proxy is, and forget a mean that belonged to another phi."""
-        super().proxy_was_fitted(hw_nn)
-        self.mean = None
+        self.stds = np.array(facts["stds"]) if facts else None
 
     def phi_was_found(self, hw_nn: "HwNN") -> None:
         if self.settles:

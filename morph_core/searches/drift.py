@@ -8,7 +8,6 @@ import numpy as np
 from msgspec import Meta
 
 from morph_core.config import NotNegative, Positive
-from morph_core.design import DesignSpace
 from morph_core.divergence import limited
 from morph_core.search import Problem, Search
 from morph_core.twin import Twin
@@ -66,7 +65,7 @@ class Drift(Search):
         change = (change / unit).reshape(len(noise), -1)
         # the two estimates J1, J2 of dz/dphi, by regression on whitened noise
         free = space.free
-        whiten = np.linalg.cholesky(_correlations(space, spread.correlation)[np.ix_(free, free)])
+        whiten = np.linalg.cholesky(spread.correlations(space)[np.ix_(free, free)])
         white = np.linalg.solve(whiten, noise[:, free].T).T
         first, second = (change[half::2].T @ white[half::2] / len(white[half::2]) for half in (0, 1))  # (n z_size, f)
         # least squares with a ridge, and a limit to its step
@@ -79,11 +78,3 @@ class Drift(Search):
         found = problem.start.copy()
         found[free] += (spread.sigma * space.scale)[free] * (whiten @ step)
         return space.clip(found)[None]
-
-
-def _correlations(space: DesignSpace, correlation: float) -> np.ndarray:
-    """Return the correlations (d, d) of the noise of `Spread.noise`."""
-    matrix = np.eye(len(space))
-    for group in space.groups:
-        matrix[np.ix_(group, group)] += correlation * (1 - np.eye(group.sum()))
-    return matrix

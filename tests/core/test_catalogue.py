@@ -153,7 +153,7 @@ def test_a_part_that_leaves_no_choice_says_what_is_in_it() -> None:
 
 @pytest.mark.parametrize("wanted", [None, 5, ["cma"], "newton", ""])
 def test_a_choice_that_is_none_lists_the_choices(wanted: object) -> None:
-    with pytest.raises(ValueError, match=r"^unknown search \".*\"; choose from: cma, drift, gradient$"):
+    with pytest.raises(ValueError, match=r"^unknown search \".*\"; choose from: cma, cma_debiased, drift, gradient$"):
         make_method("morph", settings={"search": wanted})
 
 
