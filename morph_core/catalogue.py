@@ -11,6 +11,7 @@ from morph_core.contract import check_task
 from morph_core.exploration import Exploration
 from morph_core.format_1 import RENAMED
 from morph_core.method import Method
+from morph_core.presets import with_preset
 from morph_core.protocol import RunRecord
 from morph_core.registry import Broken, Registry
 from morph_core.search import Search
@@ -59,15 +60,22 @@ def make_task(name: str, options: Mapping[str, object] | None = None) -> Task:
     return kind(**(options or {}))
 
 
-def make_method(name: str, task: Task | None = None, settings: Mapping[str, object] | None = None) -> Method:
+def make_method(
+    name: str | None,
+    task: Task | None = None,
+    settings: Mapping[str, object] | None = None,
+    preset: str | None = None,
+) -> Method:
     """Return the method `name` with what was found to work for the task, and with `settings` on top.
 
-    `settings` have dotted names (`search.ridge`) or are nested. ValueError lists what can be set: a setting that does
-    nothing for the chosen method, exploration or search is refused, too.
+    `settings` have dotted names (`search.ridge`) or are nested; they are laid over those of the `preset`. Without a
+    name it is the preset's method, or else morph. ValueError lists what can be set: a setting that does nothing for
+    the chosen method, exploration or search is refused, too.
     """
-    kind: Any = METHODS[name]
+    chosen, wanted = with_preset(preset, name, task, settings or {})
+    kind: Any = METHODS[chosen]
     tuned = task.tuned if task else ()
-    method = configured(_tuned_for(kind, tuned), settings or {}, tuned)
+    method = configured(_tuned_for(kind, tuned), wanted, tuned)
     if task:
         method.check(task)
     return method

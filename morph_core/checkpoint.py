@@ -29,6 +29,7 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
             "iteration": state.iteration,
             "env_steps": state.env_steps,
             "relabelled_steps": state.relabelled_steps,
+            "search_steps": state.search_steps,
             "diverged": state.diverged,
             "control_start": state.control_start,
             "last_reached": state.last_reached,
@@ -62,6 +63,7 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Metho
         state.iteration, state.env_steps = facts["iteration"], facts["env_steps"]
         diverged = "diverged" if "diverged" in facts else "truncations"  # as format 1 called it
         state.relabelled_steps, state.diverged = facts["relabelled_steps"], facts[diverged]
+        state.search_steps = facts.get("search_steps", 0)  # once counted among those of relabelling
         state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]
         state.phi = space.check(facts["phi"])
         state.alpha, state.projection = facts["alpha"], facts["projection"]

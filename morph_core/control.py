@@ -23,7 +23,7 @@ REACHED = 0.02
 class Batch:
     """Steps of a rollout before the ends of its episodes, flattened: tensors of B rows."""
 
-    observation: Tensor  # (B, o)
+    observation: Tensor  # (B, o), ending with the design where the policy sees phi
     time: Tensor  # (B,) t / T
     action: Tensor  # (B, action_size)
     log_prob: Tensor  # (B,)
@@ -37,14 +37,16 @@ class Batch:
 class Control:
     """Policy pi_theta and critic with their Adam optimiser, which learn by PPO."""
 
-    def __init__(self, task: Task, ppo: Ppo, schedule: Schedule, hidden: int, weights: torch.Generator) -> None:
-        self._task, self._ppo, self._schedule, self._hidden = task, ppo, schedule, hidden
+    def __init__(
+        self, task: Task, ppo: Ppo, schedule: Schedule, hidden: int, weights: torch.Generator, sees_phi: bool = False
+    ) -> None:
+        self._task, self._ppo, self._schedule, self._hidden, self._sees_phi = task, ppo, schedule, hidden, sees_phi
         self.start_afresh(weights)
 
     def start_afresh(self, weights: torch.Generator) -> None:
         """Make policy, critic and optimiser as they are before anything is learnt."""
-        self.policy = Policy(self._task, self._ppo, self._hidden, weights)
-        self.critic = Critic(self._task, self._hidden, weights)
+        self.policy = Policy(self._task, self._ppo, self._hidden, weights, self._sees_phi)
+        self.critic = Critic(self._task, self._hidden, weights, len(self._task.design_space) if self._sees_phi else 0)
         parameters = [*self.policy.parameters(), *self.critic.parameters()]
         self.optimizer = torch.optim.Adam(parameters, self._ppo.learning_rate, fused=True)
 

@@ -43,6 +43,11 @@ class DesignSpace:
         return np.array([p.hi for p in self.parameters])
 
     @property
+    def hard_box(self) -> np.ndarray:
+        """Return both ends (2, d) of the task's own box, which no edit changes."""
+        return np.array([[p.hard_lo for p in self.parameters], [p.hard_hi for p in self.parameters]])
+
+    @property
     def scale(self) -> np.ndarray:
         """Return a typical change of each parameter (d,): the unit of exploration and search."""
         return np.array([p.scale for p in self.parameters])

@@ -22,8 +22,8 @@ class Score:
 def evaluate(
     task: Task, policy: Policy, phi: np.ndarray, episodes: int, rng: np.random.Generator, sampled: bool
 ) -> tuple[Score, Rollout]:
-    """Run the policy, sampled or deterministic, on Hw-Phy with phi (d,)."""
-    hw_phy = task.hw_phy(phi)
+    """Run the policy, sampled or deterministic, on Hw-Phy with phi (d,), which it is told where it sees phi."""
+    hw_phy, policy = task.hw_phy(phi), policy.at(phi)
     start = task.reset(hw_phy, episodes, rng)
     rollout = collect(task, lambda observation: policy.act(observation, rng if sampled else None), hw_phy, start)
     milestones = {

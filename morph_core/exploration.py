@@ -92,10 +92,19 @@ class Exploration(Settings, ABC):
         return
 
 
-def run_trajectories(task: Task, state: "State", world: Hardware, trajectories: int) -> Rollout:
-    """Line 2: sample H trajectories of the present policy in a world."""
+def run_trajectories(
+    task: Task, state: "State", world: Hardware, trajectories: int, designs: np.ndarray | None = None
+) -> Rollout:
+    """Line 2: sample H trajectories of the present policy in a world.
+
+    A policy that sees phi sees the `designs` (H, d) of the episodes, or the present phi where none are given.
+    """
+    policy = state.control.policy
     start = task.reset(world, trajectories, state.rng)
-    return collect(task, lambda observation: state.control.policy.act(observation, state.rng), world, start)
+    seen = None
+    if policy.sees_phi:
+        seen = policy.phi_seen(np.tile(state.phi, (trajectories, 1)) if designs is None else designs)
+    return collect(task, lambda observation: policy.act(observation, state.rng), world, start, seen)
 
 
 def relabel_on_hardware(rollout: Rollout, hw_phy: Hardware, pairs: int, rng: np.random.Generator) -> Relabelled:

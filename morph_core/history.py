@@ -25,7 +25,10 @@ from morph_core.protocol import (
     StateChanged,
     Status,
 )
-from morph_core.run_folder import LOST_AFTER, SAID_ENDED, RunFolder, RunFolderError, still_beating
+from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, still_beating
+
+STARTS_WITHIN = 10.0
+"""Seconds after its creation in which a run has a heartbeat, unless it is queued."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +63,15 @@ class History:
         self.heartbeat: Heartbeat | None = None
         self._changes: list[Acknowledged | DesignSpaceChanged] = []
         self._offset = 0
+        self._moved = time.monotonic()  # s, when the heartbeat was last seen to change
         self.in_force = self.at()
         self.poll()
 
     def poll(self) -> list[AnyEvent]:
         """Take in what was written since the last call and return the new events."""
-        self.heartbeat = self.folder.heartbeat()
+        before, self.heartbeat = self.heartbeat, self.folder.heartbeat()
+        if self.heartbeat != before:
+            self._moved = time.monotonic()
         events, self._offset = self.folder.read_events(self._offset)
         for event in events:
             match event:
@@ -119,20 +125,27 @@ class History:
 
     @property
     def status(self) -> Status:
-        """What the trainer last said, unless it is gone: then `lost` (no word of an end, no process, no heartbeat)."""
+        """What the trainer last said, unless it is gone: then `lost` (no word of an end, no process, no heartbeat).
+
+        A run that no trainer has taken up yet is `queued` as long as something sees to it that it is started.
+        """
         status: Status = self.state.status if self.state else "starting"
         if status in SAID_ENDED:
             return status
         beat = self.heartbeat
         if beat is None:
-            return status if time.time() - self.record.created < LOST_AFTER else "lost"
-        if not still_beating(beat):
+            if self.folder.is_launched():
+                return "queued"
+            return status if time.time() - self.record.created < STARTS_WITHIN else "lost"
+        if not still_beating(beat, unchanged=time.monotonic() - self._moved):
             return beat.status if beat.status in SAID_ENDED else "lost"
         return beat.status if beat.status != "starting" else status
 
     @property
     def message(self) -> str:
         """Why the run is in this state, in words."""
+        if self.status == "queued":
+            return "no trainer has taken it up yet"
         if self.status == "lost":
             return "the trainer died without a word (killed, or the machine went down); resume goes on from checkpoint"
         if self.heartbeat and self.heartbeat.message and self.status not in SAID_ENDED:
@@ -143,6 +156,14 @@ class History:
     def iteration(self) -> int:
         """Last iteration that was recorded; 0 before the first."""
         return self.progress[-1].iteration if self.progress else 0
+
+    @property
+    def planned_iterations(self) -> int | None:
+        """Iterations after which the run ends; where a budget ends it, the trainer's estimate, None before it began."""
+        beat = self.heartbeat
+        if self.record.env_steps is not None:
+            return max(beat.iterations, self.iteration) if beat else None
+        return max(beat.iterations, self.record.iterations) if beat else self.record.iterations
 
     @property
     def phi(self) -> np.ndarray:

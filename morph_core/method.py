@@ -41,6 +41,8 @@ class Method(Settings, ABC):
     """Name that chooses the method on the command line, in files and on screen."""
     title: ClassVar[str]
     """Clause that tells people what the method does."""
+    sees_phi: ClassVar[bool] = False
+    """Whether policy and critic see phi beside the observation, so that one policy acts on many designs."""
 
     @property
     def proxy_fit(self) -> ProxyFit | None:

@@ -1,5 +1,6 @@
-"""The three networks: policy pi_theta, critic, and the proxy Hw-NN h_psi."""
+"""Three networks: policy pi_theta, critic, and the proxy Hw-NN h_psi."""
 
+import copy
 import math
 from typing import Any
 
@@ -30,15 +31,50 @@ def log_normal(x: Tensor, mean: Tensor, std: Tensor) -> Tensor:
 
 
 class Policy(nn.Module):
-    """Policy pi_theta(a | s) = N(mu_theta(s), sigma_a), in units of the largest action."""
+    """Policy pi_theta(a | s) = N(mu_theta(s), sigma_a), in units of the largest action.
 
-    def __init__(self, task: Task, ppo: Ppo, hidden: int, rng: torch.Generator) -> None:
+    One that `sees_phi` is pi_theta(a | s, phi): its observations end with `phi_seen`.
+    """
+
+    hard_box: Tensor | None
+
+    def __init__(self, task: Task, ppo: Ppo, hidden: int, rng: torch.Generator, sees_phi: bool = False) -> None:
         super().__init__()
-        self.mean = mlp(task.observation_size, hidden, task.action_size, nn.Tanh, rng)
+        box = torch.from_numpy(task.design_space.hard_box) if sees_phi else torch.empty(2, 0)
+        self.register_buffer("hard_box", box if sees_phi else None)  # which a checkpoint holds, so that exports know it
+        self.mean = mlp(task.observation_size + box.shape[1], hidden, task.action_size, nn.Tanh, rng)
         nn.init.orthogonal_(self.mean[-1].weight, 0.01, generator=rng)  # pyright: ignore[reportArgumentType]
         with torch.no_grad():
             self.mean[-1].bias.copy_(torch.from_numpy(task.initial_action))  # pyright: ignore
         self.log_std = nn.Parameter(torch.full((task.action_size,), math.log(ppo.std)))
+
+    @property
+    def sees_phi(self) -> bool:
+        """Whether observations end with the design."""
+        return self.hard_box is not None
+
+    def phi_seen(self, phi: np.ndarray) -> np.ndarray:
+        """Return what is seen of designs phi (..., d), float32: each entry's place in the task's own box, from -1 to 1.
+
+        ValueError for a policy that does not see phi.
+        """
+        if self.hard_box is None:
+            raise ValueError("this policy does not see phi")
+        lo, hi = self.hard_box.numpy()
+        return (2 * (phi - lo) / (hi - lo) - 1).astype(np.float32)
+
+    def at(self, phi: np.ndarray) -> "Policy":
+        """Return the policy of one design phi (d,), which sees the observation alone: where this one sees phi, its
+        first layer's bias takes in what phi adds there."""
+        if not self.sees_phi:
+            return self
+        seen, policy = torch.from_numpy(self.phi_seen(phi)), copy.deepcopy(self)
+        policy.hard_box = None
+        first: Any = policy.mean[0]
+        with torch.no_grad():
+            first.bias += first.weight[:, -len(seen) :] @ seen
+            first.weight = nn.Parameter(first.weight[:, : -len(seen)].contiguous())
+        return policy
 
     @property
     def std(self) -> Tensor:
@@ -69,11 +105,14 @@ class Policy(nn.Module):
 
 
 class Critic(nn.Module):
-    """Critic V(s, t), which sees the time, because an episode ends at the horizon whatever the state."""
+    """Critic V(s, t), which sees the time, because an episode ends at the horizon whatever the state.
 
-    def __init__(self, task: Task, hidden: int, rng: torch.Generator) -> None:
+    `further` counts the entries that follow the task's own in an observation, such as the design.
+    """
+
+    def __init__(self, task: Task, hidden: int, rng: torch.Generator, further: int = 0) -> None:
         super().__init__()
-        self.value = mlp(task.observation_size + 1, hidden, 1, nn.Tanh, rng)
+        self.value = mlp(task.observation_size + further + 1, hidden, 1, nn.Tanh, rng)
 
     def forward(self, observation: Tensor, time: Tensor) -> Tensor:
         """Return values (...) for observations (..., o) at times (...) in [0, 1)."""

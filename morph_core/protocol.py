@@ -10,8 +10,10 @@ import msgspec
 
 from morph_core.config import Projection
 
-Status = Literal["starting", "running", "pausing", "paused", "stopped", "finished", "failed", "lost", "unreadable"]
-"""`lost` and `unreadable` are a reader's verdicts; a trainer never writes them."""
+Status = Literal[
+    "queued", "starting", "running", "pausing", "paused", "stopped", "finished", "failed", "lost", "unreadable"
+]
+"""`queued`, `lost` and `unreadable` are a reader's verdicts; a trainer never writes them."""
 
 
 class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -167,7 +169,10 @@ class Progress(Event, tag="progress", frozen=True):
     alpha: float | None = None
     projection: Projection | None = None
     relabelled_steps: int = 0
-    """Steps of Hw-Phy outside of trajectories so far: relabelling, and the search for phi."""
+    """Steps of Hw-Phy so far outside of trajectories and of the search for phi: fitting the proxy, relabelling, and
+    what an exploration asks of designs. A run from before `search_steps` were told apart counts them here."""
+    search_steps: int = 0
+    """Steps of Hw-Phy so far that the search for phi took."""
     diverged: int = 0
     """Episodes so far that were left out because their simulation diverged."""
     cpu_seconds: float = 0.0
@@ -190,6 +195,10 @@ class Evaluation(Event, tag="evaluation", frozen=True):
     """Sampled episodes whose simulation diverged: they count as failures."""
     episode: str | None = None
     cpu_seconds: float = 0.0
+    episodes: int | None = None
+    """Number of episodes of each kind, sampled and deterministic; None in a run that did not write it down."""
+    final: bool = False
+    """Whether this is the evaluation at the end of the run, over its `final_episodes`."""
 
 
 class Acknowledged(Event, tag="command", frozen=True):
@@ -232,6 +241,7 @@ class Heartbeat(msgspec.Struct, frozen=True):
     """Words for what is done: "loading", "fitting the proxy", "collecting and learning", "evaluating", "saving"."""
     iteration: int
     iterations: int
+    """Iterations after which the run ends, estimated where its budget of environment steps ends it sooner."""
     env_steps: int = 0
     eta_seconds: float | None = None
     message: str = ""
@@ -256,6 +266,10 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     method: str
     seed: int
     iterations: int
+    env_steps: int | None = None
+    """Budget of environment steps: the run ends after the iteration that reaches it, or after `iterations`."""
+    final_episodes: int = 0
+    """Episodes of each kind, sampled and deterministic, in the evaluation at the end of the run; 0 for none."""
     config: dict[str, object]
     parameters: list[Parameter]
     versions: dict[str, str]

@@ -19,7 +19,7 @@ class Rollout:
     """
 
     s: np.ndarray  # (T, N, state_size)
-    observation: np.ndarray  # (T, N, o) float32
+    observation: np.ndarray  # (T, N, o) float32, what the policy saw: the design at its end, where it sees phi
     action: np.ndarray  # (T, N, action_size) float32, what the policy asked for
     a: np.ndarray  # (T, N, action_size) what was executed, physical units
     z: np.ndarray  # (T, N, z_size)
@@ -66,13 +66,18 @@ class Rollout:
         return float(self.successes.sum() / self.episodes)
 
 
-def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray) -> Rollout:
-    """Run N episodes from start states s (N, state_size) in the world of `hardware`."""
+def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray, phi_seen: np.ndarray | None = None) -> Rollout:
+    """Run N episodes from start states s (N, state_size) in the world of `hardware`.
+
+    `phi_seen` (N, k) float32, where it is given, stands at the end of every observation of its episode.
+    """
     alive = np.ones(len(s), dtype=bool)
     kept = alive.copy()
     steps = []
     for _ in range(task.horizon):
         observation = task.observe(s)
+        if phi_seen is not None:
+            observation = np.concatenate([observation, phi_seen], 1)
         action = act(observation)
         transition = task.step(hardware, s, action)
         steps.append((s, observation, action, transition, alive))

@@ -21,8 +21,16 @@ from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Order, RunRecor
 
 HEARTBEAT_BYTES = 4096
 """The heartbeat is rewritten in place at this size, so that it needs no new block on a full disk."""
-LOST_AFTER = 10.0
-"""Seconds without a heartbeat after which a run on another host counts as lost."""
+LOST_AFTER = 60.0
+"""Seconds in which the heartbeat of a trainer on another host changes: disks that hosts share show it late."""
+LARGEST_SKEW = 60.0
+"""Seconds by which a clock of another host may differ from the one here."""
+STUDY = "study.json"
+"""File beside run folders that makes them one study: its plan."""
+REPORT = "report"
+"""Folder beside run folders that holds the report of their study."""
+LAUNCH = "launch.json"
+"""File in a run folder that says by whom its trainer is started."""
 SAID_ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
 """Statuses by which a trainer says that it has ended."""
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
@@ -118,9 +126,13 @@ class RunFolder:
             return None
 
     def trainer_alive(self) -> bool:
-        """Tell whether a trainer holds this folder: its process is there, or its heartbeat still moves."""
+        """Tell whether a trainer holds this folder: its process is there, or its heartbeat is of late."""
         beat = self.heartbeat()
         return beat is not None and beat.status not in SAID_ENDED and still_beating(beat)
+
+    def is_launched(self) -> bool:
+        """Tell whether something sees to it that this run is started: a study, or a launcher."""
+        return (self.path / LAUNCH).exists() or (self.path.parent / STUDY).exists()
 
     def checkpoint_iterations(self) -> list[int]:
         """Return the iterations of whole checkpoints, ascending; half-written ones have another name."""
@@ -166,11 +178,12 @@ class RunFolder:
                 yield path, None
 
 
-def still_beating(beat: Heartbeat) -> bool:
-    """Tell whether the heartbeat's process is there, or, seen from another host, whether the heartbeat still moves."""
+def still_beating(beat: Heartbeat, unchanged: float = 0.0) -> bool:
+    """Tell whether the heartbeat's process is there; on another host, whether the heartbeat is of late, and has not
+    stayed `unchanged` for too many seconds of the reader's own clock."""
     if beat.host == platform.node():
         return process_alive(beat.pid, beat.process_started)
-    return 0 <= time.time() - beat.time < LOST_AFTER
+    return unchanged < LOST_AFTER and abs(time.time() - beat.time) < LOST_AFTER + LARGEST_SKEW
 
 
 def process_alive(pid: int, started: float) -> bool:
@@ -196,7 +209,11 @@ def list_runs(runs: Path) -> list[str]:
     """Return the names of all folders in `runs` that could be runs, oldest first."""
     if not runs.is_dir():
         return []
-    return sorted(p.name for p in runs.iterdir() if p.is_dir() and RUN_ID.fullmatch(p.name))
+    return sorted(p.name for p in runs.iterdir() if p.is_dir() and RUN_ID.fullmatch(p.name) and not _is_report(p))
+
+
+def _is_report(path: Path) -> bool:
+    return path.name == REPORT and (path.parent / STUDY).exists()
 
 
 def create_run(runs: Path, record: RunRecord) -> RunFolder:

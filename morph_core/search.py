@@ -148,5 +148,5 @@ def derive_design(task: Task, state: "State", dataset: Dataset, search: Search, 
     best = int(np.argmin(costs))
     state.memory.phi_was_found(state.hw_nn)
     state.phi = candidates[best]
-    state.relabelled_steps += physics.steps
+    state.search_steps += physics.steps
     return float(costs[best])

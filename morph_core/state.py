@@ -50,7 +50,10 @@ class State:
     frozen: bool = False
     """Whether phi stays as it is, and every episode runs on it."""
     relabelled_steps: int = 0
-    """Steps of Hw-Phy outside of trajectories: relabelling, and the search for phi."""
+    """Steps of Hw-Phy outside of trajectories and of the search for phi: the proxy's fit, relabelling, and what an
+    exploration asks of designs."""
+    search_steps: int = 0
+    """Steps of Hw-Phy that the search for phi took."""
     diverged: int = 0
     """Episodes left out because their simulation diverged."""
     control_start: int = 0
@@ -128,7 +131,7 @@ def start(task: Task, method: Method, seed: int, design_space: DesignSpace | Non
     """Return the state before the first iteration; everything random in a run comes from `seed`."""
     space = design_space or task.design_space
     weights = torch.Generator().manual_seed(seed)
-    control = Control(task, method.ppo, method.schedule, method.hidden, weights)
+    control = Control(task, method.ppo, method.schedule, method.hidden, weights, method.sees_phi)
     proxy = HwNN(task, method.proxy_fit, method.hidden, weights) if method.proxy_fit else None
     memory = method.memory(proxy)
     alpha, projection = method.steering

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import functools
+import math
 import os
 import platform
 import signal
@@ -13,7 +14,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -25,7 +26,7 @@ from morph_core.catalogue import make_task, read_method
 from morph_core.checkpoint import all_finite, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.design import DesignSpace
 from morph_core.edits import AnyEdit, edited
-from morph_core.episodes import evaluate, record_episode
+from morph_core.episodes import Score, evaluate, record_episode
 from morph_core.history import History, InForce
 from morph_core.method import Method
 from morph_core.protocol import (
@@ -40,6 +41,7 @@ from morph_core.protocol import (
     StateChanged,
     Status,
 )
+from morph_core.rollout import Rollout
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, RunFolderError, hold, write_episode
 from morph_core.state import State, start
 from morph_core.task import Task
@@ -63,11 +65,14 @@ class Trainer:
         self._status: Status = "starting"
         self._stage, self._message = "loading", ""
         self._stopping = self._paused = self._step = False
-        self._durations: deque[float] = deque(maxlen=20)  # s, of the last iterations
+        self._pace: deque[tuple[float, int]] = deque(maxlen=20)  # s and environment steps of the last iterations
         self._iteration = self._env_steps = 0
         self._cpu_start = time.process_time()  # s, when this run's CPU clock stood at zero
         history = History(folder)
         self._last = history.iteration + further if further is not None else self._record.iterations
+        self._budget = None if further is not None else self._record.env_steps
+        self._longest_iteration = 1  # environment steps
+        self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
         self._process_started = psutil.Process().create_time()
         self._heartbeat = HeartbeatFile(folder)
@@ -79,25 +84,29 @@ class Trainer:
         return make_task(self._record.task, self._record.task_options)
 
     def run(self) -> None:
-        """Train until the last iteration, a stop or an exception."""
+        """Train until the last iteration, the end of the budget, a stop or an exception."""
         task = self._task
         method = read_method(self._record)
         method.check(task)
+        self._longest_iteration = method.trajectories * task.horizon
         state = self._load(task, method)
-        if state.iteration < self._last:
+        if not self._is_done(state):
             self._enter("running", "learning" if state.fitted else "fitting the proxy")
             self._between_iterations(state)
-        if state.iteration < self._last and not self._stopping:
-            began = time.monotonic()
+        if not self._is_done(state) and not self._stopping:
+            began, steps = time.monotonic(), state.env_steps
             for progress in method.iterations(task, state):
                 self._take_in(task, method, state, progress)
-                self._durations.append(time.monotonic() - began)
+                self._pace.append((time.monotonic() - began, state.env_steps - steps))
                 self._between_iterations(state)
-                if self._stopping or progress.iteration >= self._last:
+                if self._stopping or self._is_done(state):
                     break
-                began = time.monotonic()
-        if state.iteration >= self._last:
-            self._enter("finished", "finished", f"all {self._last} iterations are done")
+                began, steps = time.monotonic(), state.env_steps
+        if self._is_done(state):
+            if self._record.final_episodes and state.iteration not in self._measured:
+                self._set("running", "evaluating at the end")
+                self._evaluate_finally(task, state)
+            self._enter("finished", "finished", self._why_done(state))
         else:
             self._checkpoint(state)
             self._enter("stopped", "stopped", f"stopped after iteration {state.iteration}; resume goes on from here")
@@ -114,15 +123,35 @@ class Trainer:
 
     def beat(self) -> None:
         """Rewrite the heartbeat."""
-        remaining = max(0, self._last - self._iteration)
-        eta = float(np.mean(self._durations)) * remaining if self._durations else None
+        remaining = self._remaining_iterations()
+        seconds = [seconds for seconds, _ in self._pace]
+        eta = float(np.mean(seconds)) * remaining if seconds else None
         self._heartbeat.write(
             Heartbeat(
                 host=platform.node(), pid=os.getpid(), process_started=self._process_started,
                 time=time.time(), status=self._status, stage=self._stage, message=self._message,
-                iteration=self._iteration, iterations=self._last, env_steps=self._env_steps, eta_seconds=eta,
+                iteration=self._iteration, iterations=self._iteration + remaining,
+                env_steps=self._env_steps, eta_seconds=eta,
             )
         )  # fmt: skip
+
+    # --- when it ends ---
+
+    def _is_done(self, state: State) -> bool:
+        return state.iteration >= self._last or (self._budget is not None and state.env_steps >= self._budget)
+
+    def _why_done(self, state: State) -> str:
+        if state.iteration >= self._last:
+            return f"all {self._last} iterations are done"
+        return f"the budget of {self._budget} environment steps is spent after iteration {state.iteration}"
+
+    def _remaining_iterations(self) -> int:
+        """Return how many iterations are left, by the last ones' environment steps where a budget may end the run."""
+        remaining = max(0, self._last - self._iteration)
+        if self._budget is None:
+            return remaining
+        steps = np.mean([steps for _, steps in self._pace]) if self._pace else self._longest_iteration
+        return min(remaining, math.ceil(max(0, self._budget - self._env_steps) / max(1.0, steps)))
 
     # --- one iteration ---
 
@@ -139,6 +168,7 @@ class Trainer:
         state, cpu_before = newest
         self._cpu_start = time.process_time() - cpu_before
         self._iteration, self._env_steps = state.iteration, state.env_steps
+        self._measured = {iteration for iteration in self._measured if iteration <= state.iteration}
         origin = f"from the checkpoint of iteration {state.iteration}" if state.iteration else "from the initial design"
         self._write(StateChanged(status="starting", iteration=state.iteration, message=origin))
         self._write(DesignSpaceChanged(iteration=state.iteration, parameters=list(state.design_space.parameters)))
@@ -150,11 +180,11 @@ class Trainer:
             raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
         self._iteration, self._env_steps = state.iteration, state.env_steps
         progress = msgspec.structs.replace(
-            progress, relabelled_steps=state.relabelled_steps, diverged=state.diverged,
-            cpu_seconds=self._cpu_seconds,
+            progress, relabelled_steps=state.relabelled_steps, search_steps=state.search_steps,
+            diverged=state.diverged, cpu_seconds=self._cpu_seconds,
         )  # fmt: skip
         self._write(progress)
-        if progress.iteration % method.evaluation.interval == 0 or progress.iteration >= self._last:
+        if progress.iteration % method.evaluation.interval == 0 or self._is_done(state):
             self._set("running", "evaluating")
             self._evaluate(task, method, state)
             self._set("running", "saving")
@@ -164,20 +194,34 @@ class Trainer:
     def _evaluate(self, task: Task, method: Method, state: State) -> None:
         # Its own random numbers, so that what is learnt does not depend on how often it is evaluated.
         rng = np.random.default_rng([self._record.seed, state.iteration])
-        policy = state.control.policy
-        sampled, rollout = evaluate(task, policy, state.phi, method.evaluation.episodes, rng, sampled=True)
-        mean, _ = evaluate(task, policy, state.phi, method.evaluation.episodes, rng, sampled=False)
+        sampled, mean, rollout = self._score(task, state, method.evaluation.episodes, rng)
         arrays = record_episode(task, rollout, state.phi)
         if state.explored is not None:
             arrays["population"] = state.explored[:SHOWN_DESIGNS]
         name = self._persist(lambda: write_episode(self._folder, state.iteration, arrays))
+        self._tell(state, sampled, mean, method.evaluation.episodes, episode=name)
+
+    def _evaluate_finally(self, task: Task, state: State) -> None:
+        episodes = self._record.final_episodes
+        rng = np.random.default_rng([self._record.seed, state.iteration, episodes])
+        sampled, mean, _ = self._score(task, state, episodes, rng)
+        self._tell(state, sampled, mean, episodes, final=True)
+
+    def _score(self, task: Task, state: State, episodes: int, rng: np.random.Generator) -> tuple[Score, Score, Rollout]:
+        """Return the scores of the sampled and of the deterministic policy, and the sampled episodes."""
+        policy = state.control.policy
+        sampled, rollout = evaluate(task, policy, state.phi, episodes, rng, sampled=True)
+        mean, _ = evaluate(task, policy, state.phi, episodes, rng, sampled=False)
+        return sampled, mean, rollout
+
+    def _tell(self, state: State, sampled: Score, mean: Score, episodes: int, **said: Any) -> None:
         self._write(
             Evaluation(
                 iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
                 sampled_success=sampled.success, sampled_return=sampled.episode_return,
                 deterministic_success=mean.success, deterministic_return=mean.episode_return,
                 milestones=sampled.milestones, diverged=sampled.diverged,
-                episode=name, cpu_seconds=self._cpu_seconds,
+                cpu_seconds=self._cpu_seconds, episodes=episodes, **said,
             )
         )  # fmt: skip
 

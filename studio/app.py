@@ -79,6 +79,7 @@ def make_viewer(server: viser.ViserServer, runs: Runs) -> Shows:
     def on_start(wish: StartRequest) -> str:
         return runs.start(
             task=wish.task,
+            preset=wish.preset,
             method=wish.method,
             seed=wish.seed,
             iterations=wish.iterations,

@@ -2,6 +2,8 @@
 
 LARGEST_SEED = 2**32 - 1
 MAX_ITERATIONS = 1_000_000
+MAX_ENV_STEPS = 10**12
+MAX_FINAL_EPISODES = 100_000
 
 
 def whole(name: str, value: object, lo: int, hi: int) -> int:
@@ -21,3 +23,18 @@ def seed(value: object) -> int:
 def iterations(value: object, name: str = "iterations") -> int:
     """Return a number of iterations; raise ValueError that says what is allowed."""
     return whole(name, value, 1, MAX_ITERATIONS)
+
+
+def env_steps(value: object) -> int:
+    """Return a budget of environment steps; raise ValueError that says what is allowed."""
+    return whole("env_steps", value, 1, MAX_ENV_STEPS)
+
+
+def final_episodes(value: object) -> int:
+    """Return a number of episodes for an evaluation at the end of a run; ValueError says what is allowed."""
+    return whole("final_episodes", value, 0, MAX_FINAL_EPISODES)
+
+
+def iterations_within(steps: int, trajectories: int) -> int:
+    """Return the largest number of iterations that a budget of environment steps can hold: an episode has a step."""
+    return min(MAX_ITERATIONS, -(-steps // trajectories))

@@ -4,7 +4,9 @@ import contextlib
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -19,54 +21,81 @@ from studio.versions import versions_of
 _PACKAGES = ("morph-studio", "numpy", "torch", "mujoco", "cma", "viser")
 
 
-def prepare_run(
-    runs: Path,
+@dataclass(frozen=True)
+class Machine:
+    """What a record says of where a run was made: `machine()` asks for it, once for many runs."""
+
+    versions: dict[str, str]
+    git_revision: str | None
+    git_dirty: bool | None
+
+
+def machine() -> Machine:
+    """Return the versions of what runs depend on, and the state of the checkout this code runs from."""
+    return Machine(versions_of(*_PACKAGES), *git_state())
+
+
+def prepare_run(runs: Path, **wishes: Any) -> RunFolder:
+    """Create the folder of a new run, as `record_of` has it, under a name that is free."""
+    record = record_of(**wishes)
+    number = 1
+    while True:
+        name = record.id if number == 1 else f"{record.id}-{number}"
+        if not (runs / name).exists():
+            with contextlib.suppress(RunFolderError):  # another process was faster: take the next name
+                return create_run(runs, msgspec.structs.replace(record, id=name))
+        number += 1
+
+
+def record_of(
     *,
     task: str,
-    method: str = "morph",
+    preset: str | None = None,
+    method: str | None = None,
     seed: int = 0,
     iterations: int = 100,
     settings: Mapping[str, object] | None = None,
     task_options: Mapping[str, object] | None = None,
     parameters: Sequence[Parameter] | None = None,
     parent: Parent | None = None,
-) -> RunFolder:
-    """Create the folder of a new run, ready for a trainer; raise ValueError that says what is allowed."""
+    env_steps: int | None = None,
+    final_episodes: int = 0,
+    made_on: Machine | None = None,
+) -> RunRecord:
+    """Return the record of a new run; raise ValueError that says what is allowed.
+
+    `settings` are laid over those of the `preset`, if one is named, and those over what was found to work for the task.
+    """
     try:
         chosen = make_task(task, task_options)
-        configured = make_method(method, chosen, settings)
+        configured = make_method(method, chosen, settings, preset)
     except (TypeError, OverflowError) as error:  # a list where a number belongs, 10**400 where a float does
         raise ValueError(f"a setting of {task} has the wrong type or size: {error}") from error
     seed, iterations = limits.seed(seed), limits.iterations(iterations)
+    env_steps = None if env_steps is None else limits.env_steps(env_steps)
     space = chosen.design_space
     if parameters is not None:
         space = _edited(space, parameters)
     chosen.check_buildable(space.initial)
-    revision, dirty = git_state()
-    base = new_run_id(task, method, seed)
-    record = RunRecord(
+    here = machine() if made_on is None else made_on
+    return RunRecord(
         format=FORMAT,
-        id=base,
+        id=new_run_id(task, configured.name, seed),
         task=task,
         task_options=dict(task_options or {}),
-        method=method,
+        method=configured.name,
         seed=seed,
         iterations=iterations,
+        env_steps=env_steps,
+        final_episodes=limits.final_episodes(final_episodes),
         config=recorded(configured),
         parameters=list(space.parameters),
-        versions=versions_of(*_PACKAGES),
-        git_revision=revision,
-        git_dirty=dirty,
+        versions=here.versions,
+        git_revision=here.git_revision,
+        git_dirty=here.git_dirty,
         created=time.time(),
         parent=parent,
     )
-    number = 1
-    while True:
-        name = base if number == 1 else f"{base}-{number}"
-        if not (runs / name).exists():
-            with contextlib.suppress(RunFolderError):  # another process was faster: take the next name
-                return create_run(runs, msgspec.structs.replace(record, id=name))
-        number += 1
 
 
 def _edited(space: DesignSpace, parameters: Sequence[Parameter]) -> DesignSpace:

@@ -197,7 +197,7 @@ class Runs:
             seed=record.seed,
             created=record.created,
             iteration=history.iteration,
-            iterations=max(beat.iterations, record.iterations) if beat else record.iterations,
+            iterations=history.planned_iterations,
             stage=at_work.stage if at_work else "",
             eta_seconds=at_work.eta_seconds if at_work else None,
             success=history.evaluations[-1].sampled_success if history.evaluations else None,
@@ -220,6 +220,7 @@ class Runs:
         if not states or states[-1].status not in SAID_ENDED:
             return None
         record, beat = folder.record(), folder.heartbeat()
+        budgeted = record.env_steps is not None
         try:
             DesignSpace(tuple(record.parameters))
         except ValueError:
@@ -233,7 +234,7 @@ class Runs:
             seed=record.seed,
             created=record.created,
             iteration=states[-1].iteration,
-            iterations=max(beat.iterations, record.iterations) if beat else record.iterations,
+            iterations=max(beat.iterations if beat else 0, states[-1].iteration if budgeted else record.iterations),
             success=next((e.sampled_success for e in reversed(events) if isinstance(e, Evaluation)), None),
         )
         self._ended[folder.id] = size, line

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
@@ -15,14 +16,16 @@ RESERVE_DELAY = 10.0
 """Seconds between a start and the loading of the next trainer, so that the new run has the processor first."""
 
 
-def spawn_trainer(folder: RunFolder, *, further: int | None = None) -> subprocess.Popen[bytes]:
-    """Start the trainer of a run as a process of its own."""
+def spawn_trainer(
+    folder: RunFolder, *, further: int | None = None, held: Sequence[int] = ()
+) -> subprocess.Popen[bytes]:
+    """Start the trainer of a run as a process of its own; it inherits the file descriptors `held`, and so the locks."""
     path = folder.path.resolve()
     words = ["--run", str(path)]
     if further is not None:
         words += ["--further", str(further)]
     with (path / "trainer.log").open("ab") as log:
-        return _popen(words, stdin=subprocess.DEVNULL, output=log, cwd=path)
+        return _popen(words, stdin=subprocess.DEVNULL, output=log, cwd=path, held=held)
 
 
 class Reserve:
@@ -71,7 +74,9 @@ class Reserve:
                 self._ready.wait()
 
 
-def _popen(words: list[str], *, stdin: int, output: int | IO[bytes], cwd: Path | None) -> subprocess.Popen[bytes]:
+def _popen(
+    words: list[str], *, stdin: int, output: int | IO[bytes], cwd: Path | None, held: Sequence[int] = ()
+) -> subprocess.Popen[bytes]:
     code = str(Path(morph_core.__file__).resolve().parents[1])
     environment = {name: value for name, value in os.environ.items() if name != "MORPH_TOKEN"}
     environment |= {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
@@ -79,5 +84,12 @@ def _popen(words: list[str], *, stdin: int, output: int | IO[bytes], cwd: Path |
     # -P: code that lies in a run folder from elsewhere must not be imported.
     command = [sys.executable, "-P", "-m", "morph_core.train", *words]
     return subprocess.Popen(
-        command, stdin=stdin, stdout=output, stderr=output, cwd=cwd, env=environment, start_new_session=True
+        command,
+        stdin=stdin,
+        stdout=output,
+        stderr=output,
+        cwd=cwd,
+        env=environment,
+        start_new_session=True,
+        pass_fds=held,
     )

@@ -32,6 +32,7 @@ class Gradient(Search):
             hw_phy = _differentiable(problem.physics.task, phi)
             dz = hw_phy.jacobian(dataset.s, dataset.a)  # (n, z, d)
             residual = hw_phy(dataset.s, dataset.a) - dataset.z
+            problem.physics.steps += len(residual)
             if step is None:
                 curvature = 2 * np.einsum("nzi,nzj->ij", dz, dz) / len(residual)
                 step = 1 / max(np.linalg.eigvalsh(curvature)[-1], 1e-12)

@@ -23,7 +23,10 @@ class StartRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `task_options` are fields of the task; unset ones are defaults."""
 
     task: str
-    method: str = "morph"
+    preset: str | None = None
+    """Word for a whole set of settings of a method; `settings` are laid over it. GET /api/tasks lists them."""
+    method: str | None = None
+    """Method of the run; without it, the one of the preset, or morph."""
     seed: Annotated[int, msgspec.Meta(ge=0, le=LARGEST_SEED)] = 0
     iterations: Number = 100
     settings: dict[str, object] = {}
@@ -53,6 +56,14 @@ class TaskInfo(msgspec.Struct, frozen=True):
     """The settings of each method, with the defaults that were found to work for this task."""
 
 
+class PresetInfo(msgspec.Struct, frozen=True):
+    """One word for a whole set of settings of a method."""
+
+    name: str
+    meaning: str
+    method: str
+
+
 class BrokenPlugin(msgspec.Struct, frozen=True):
     """A plug-in that is installed and can't be used."""
 
@@ -70,6 +81,7 @@ class TaskList(msgspec.Struct, frozen=True):
     methods: list[str]
     method_titles: dict[str, str]
     """Clause on what each method does, by its name."""
+    presets: list[PresetInfo]
     broken: list[BrokenPlugin]
     """The plug-ins that are installed and can't be used."""
 

@@ -3,7 +3,8 @@
 from fastapi import APIRouter, Response
 
 from morph_core.catalogue import METHODS, TASKS, broken_plugins, make_method, make_task
-from studio.api.messages import BrokenPlugin, TaskInfo, TaskList, gives, gives_file, reply
+from morph_core.presets import PRESETS
+from studio.api.messages import BrokenPlugin, PresetInfo, TaskInfo, TaskList, gives, gives_file, reply
 from studio.fields import fields_of, settings_of
 from studio.preview import preview_svg
 
@@ -25,7 +26,9 @@ def task_list() -> TaskList:
             )
         )
     broken = [BrokenPlugin(b.group, b.name, b.package, b.reason) for b in broken_plugins()]
-    return TaskList(tasks, list(METHODS), {name: METHODS[name].title for name in METHODS}, broken)
+    titles = {name: METHODS[name].title for name in METHODS}
+    presets = [PresetInfo(preset.name, preset.meaning, preset.method) for preset in PRESETS.values()]
+    return TaskList(tasks, list(METHODS), titles, presets, broken)
 
 
 def tasks_router() -> APIRouter:

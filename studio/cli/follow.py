@@ -174,7 +174,7 @@ class Lines:
 
 
 def _planned(history: History) -> int:
-    return history.heartbeat.iterations if history.heartbeat else history.record.iterations
+    return history.heartbeat.iterations if history.heartbeat else history.planned_iterations or 0
 
 
 def _in_short(history: History) -> str:

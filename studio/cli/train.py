@@ -99,6 +99,7 @@ def _resumed(wanted: Wanted) -> tuple[RunFolder, int | None]:
         raise UsageError(f"{folder.id} is a run of the task {record.task}, not {asked.task}")
     recorded = dict(paths_of(read_method(record)))
     given = [name for name in ("method", "seed") if getattr(asked, name) != getattr(record, name)]
+    given += ["preset"] if asked.preset else []
     given += [name for name, value in wanted.settings.items() if value != recorded.get(name)]
     if given or wanted.task_options:
         names = ", ".join("--" + name.replace("_", "-") for name in (*given, *wanted.task_options))
@@ -142,6 +143,7 @@ def _document(history: History, outcome: Outcome) -> dict[str, object]:
         "iterations": history.iteration,
         "env_steps": progress.env_steps if progress else 0,
         "relabelled_steps": progress.relabelled_steps if progress else 0,
+        "search_steps": progress.search_steps if progress else 0,
         "diverged": progress.diverged if progress else 0,
         "phi": dict(zip(history.design_space.names, history.phi.tolist(), strict=True)),
         "last_evaluation": _evaluation(last),
@@ -154,5 +156,6 @@ def _evaluation(evaluation: Any) -> dict[str, object] | None:
     if evaluation is None:
         return None
     names = ("iteration", "env_steps", "phi", "sampled_success", "sampled_return", "deterministic_success",
-             "deterministic_return", "milestones", "diverged", "episode", "cpu_seconds")  # fmt: skip
+             "deterministic_return", "milestones", "diverged", "episode", "cpu_seconds", "episodes",
+             "final")  # fmt: skip
     return {name: getattr(evaluation, name) for name in names}

@@ -11,11 +11,11 @@ import tyro
 from morph_core.catalogue import METHODS, TASKS, broken_plugins, configured, make_method, make_task
 from morph_core.config import paths_of
 from morph_core.method import Method
+from morph_core.presets import DEFAULT_METHOD, PRESETS
 from morph_core.task import Task
 from studio.cli.arguments import UsageError, options, parse, value_after
 from studio.fields import Field, chosen_fields, docs_of, fields_of, told
 
-DEFAULT_METHOD = "morph"
 _KINDS: dict[str, type] = {"int": int, "float": float, "str": str, "bool": bool}
 
 
@@ -28,7 +28,8 @@ class Wanted:
     task_options: Mapping[str, object]
     """Fields of the task's dataclass that differ from their defaults."""
     settings: Mapping[str, object]
-    """Settings of the method that differ from their defaults, under dotted names."""
+    """Settings of the method that differ from those found to work for the task, under dotted names; those of a preset
+    are among them."""
 
 
 def parse_wanted(
@@ -43,7 +44,7 @@ def parse_wanted(
         task, method, seed = recorded
         return _parse(kind, words, command, task, method, seed)
     task = make_task(next((word for word in words if word in TASKS), next(iter(TASKS))))
-    first = _parse(kind, words, command, task, _method_of(words, task))
+    first = _parse(kind, words, command, task, _method_of(words, command, task))
     named = first.arguments.task
     if named not in TASKS:
         said = f'unknown task "{named[:40]}"' if named else "a task is missing"
@@ -53,37 +54,43 @@ def parse_wanted(
         task = make_task(named, first.task_options)
     except ValueError as error:
         raise UsageError(f"{command}: {error}") from error
-    again = _parse(kind, words, command, task, _method_of(words, task))
+    again = _parse(kind, words, command, task, _method_of(words, command, task))
     return dataclasses.replace(again, task_options=first.task_options)
 
 
-def _method_of(words: Sequence[str], task: Task) -> Method:
+def _method_of(words: Sequence[str], command: str, task: Task) -> Method:
     """Return the method that the words name, with the exploration and search that they name.
 
     A choice that does not exist is left to the parser, which says what does.
     """
-    name = value_after(words, "--method")
-    method = make_method(name if name and name in METHODS else DEFAULT_METHOD, task)
+    preset = PRESETS.get(value_after(words, "--preset") or "")
+    asked = value_after(words, "--method")
+    name = asked if asked and asked in METHODS else preset.method if preset else DEFAULT_METHOD
+    method = make_method(name, task)
     choices = {field.name: field.choices or [] for field in chosen_fields(method, task) if field.choices}
     wanted = {path: value_after(words, f"--{path.replace('_', '-')}") for path in choices}
-    return make_method(method.name, task, {path: word for path, word in wanted.items() if word in choices[path]})
+    chosen = {path: word for path, word in wanted.items() if word in choices[path]}
+    try:
+        return make_method(name, task, chosen, preset.name if preset else None)
+    except ValueError as error:
+        raise UsageError(f"{command}: {error}") from error
 
 
 def _parse(kind: type, words: Sequence[str], command: str, task: Task, method: Method, seed: int = 0) -> Wanted:
     fields = chosen_fields(method, task)
     flags = _flags(kind, task, method, fields, seed)
-    _check_settings(list(options(flags)), words, task, method)
+    _check_settings(list(options(flags)), words, command, task, method)
     asked: Any = parse(flags, words, command)
-    usual = dict(paths_of(make_method(method.name, task)))
     found = {field.name: _value(asked, field) for field in fields}
+    parts = {field.name: found[field.name] for field in fields if _is_choice(field, fields)}
+    usual = dict(paths_of(make_method(method.name, task, parts))) | dict(
+        item for item in paths_of(make_method(method.name, task)) if item[0] in parts
+    )
     return Wanted(
         asked,
         {f.name: value for f in _offered(task) if (value := getattr(asked.options, f.name)) != f.default},
-        {
-            field.name: found[field.name] for field in fields
-            if found[field.name] != (usual.get(field.name) if _is_choice(field, fields) else field.default)
-        },
-    )  # fmt: skip
+        {name: value for name, value in found.items() if value != usual.get(name)},
+    )
 
 
 def _is_choice(field: Field, fields: Sequence[Field]) -> bool:
@@ -108,6 +115,7 @@ def _flags(kind: type, task: Task, method: Method, fields: Sequence[Field], seed
         kind.__name__,
         [
             ("task", Annotated[str, tyro.conf.Positional, named], ""),
+            ("preset", Annotated[Literal[tuple(PRESETS)] | None, tyro.conf.arg(help=_presets_help())], None),  # pyright: ignore
             ("method", chosen, method.name),
             ("seed", Annotated[int, tyro.conf.arg(help="Seed of all randomness.")], seed),
             *(_flag(field) for field in fields if "." not in field.name),
@@ -143,7 +151,12 @@ def _methods_help() -> str:
     return "; ".join(f"{name}: {METHODS[name].title}" for name in METHODS) + "."
 
 
-def _check_settings(known: Sequence[str], words: Sequence[str], task: Task, method: Method) -> None:
+def _presets_help() -> str:
+    said = " ".join(f"{name}: {preset.meaning}" for name, preset in PRESETS.items())
+    return f"One word for a whole set of settings; other flags are laid over it. {said}"
+
+
+def _check_settings(known: Sequence[str], words: Sequence[str], command: str, task: Task, method: Method) -> None:
     """Raise UsageError with the reason where a flag is a setting, but does nothing with what is chosen."""
     for word in words:
         flag = word.split("=")[0].replace("_", "-")
@@ -153,4 +166,4 @@ def _check_settings(known: Sequence[str], words: Sequence[str], task: Task, meth
                 configured(method, {path: 0}, task.tuned)
             except ValueError as error:
                 if not str(error).startswith("unknown setting"):
-                    raise UsageError(f"train: {error}") from error
+                    raise UsageError(f"{command}: {error}") from error

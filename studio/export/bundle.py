@@ -81,7 +81,7 @@ def _build(history: History, which: str, formats: Sequence[str] | None) -> tuple
     robot = robot_of(task)
     parts = parts_of_design(robot, phi)
     design = _design(history, task, which, iteration, phi, parts)
-    policy = policy_at(history, iteration)
+    policy = policy_at(history, iteration, phi)
     try:
         files = robot_files(task, phi, parts, formats)
     except (ValueError, mujoco.FatalError) as error:
@@ -210,7 +210,7 @@ def _promised(history: History, recorded: Evaluation | None, policy: Policy) -> 
     """Return what training has measured with this very policy."""
     if recorded is None or policy.iteration != recorded.iteration:
         return []
-    episodes = flattened(history.record.config).get("evaluation.episodes")
+    episodes = recorded.episodes or flattened(history.record.config).get("evaluation.episodes")
     return [Score(episodes, recorded.sampled_success, "in training")] if isinstance(episodes, int) else []
 
 

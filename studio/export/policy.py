@@ -17,6 +17,8 @@ from studio.export.errors import ExportError
 from studio.robots.robot import Program
 
 LAYERS = 3
+HARD_BOX = "policy/hard_box"
+"""Name of the task's own box among the tensors of a checkpoint whose policy sees phi."""
 SMALLEST_STD, LARGEST_STD = 0.02, 2.0
 """Limits of the standard deviation, as in `morph_core.networks`, which needs torch."""
 
@@ -55,8 +57,9 @@ class Score(msgspec.Struct, frozen=True):
         return 3 * math.sqrt(share * (1 - share) * (1 / n + 1 / m)) + 1 / min(n, m)
 
 
-def policy_at(history: History, iteration: int) -> Policy | None:
-    """Return the policy of the newest checkpoint up to `iteration`, or None; ExportError if it is damaged."""
+def policy_at(history: History, iteration: int, phi: np.ndarray) -> Policy | None:
+    """Return the policy of the newest checkpoint up to `iteration` as it is on design phi (d,), or None; ExportError
+    if it is damaged."""
     saved = [i for i in history.folder.checkpoint_iterations() if i <= iteration]
     if not saved:
         return None
@@ -65,12 +68,23 @@ def policy_at(history: History, iteration: int) -> Policy | None:
         tensors = load_file(path)
         weights = [tensors[f"policy/mean.{2 * i}.weight"] for i in range(LAYERS)]
         biases = [tensors[f"policy/mean.{2 * i}.bias"] for i in range(LAYERS)]
+        if HARD_BOX in tensors:
+            weights[0], biases[0] = _told(weights[0], biases[0], tensors[HARD_BOX], phi)
         std = np.clip(np.exp(tensors["policy/log_std"]), SMALLEST_STD, LARGEST_STD)
     except (OSError, KeyError, ValueError, safetensors.SafetensorError) as error:
         raise ExportError(f"the policy of checkpoint {saved[-1]} can't be read: {error}") from error
     if not all(np.isfinite(array).all() for array in (*weights, *biases, std)):
         raise ExportError(f"the policy of checkpoint {saved[-1]} holds numbers that are not finite")
     return Policy(weights, biases, std, saved[-1])
+
+
+def _told(weight: np.ndarray, bias: np.ndarray, box: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return weight and bias of a first layer that sees phi (d,) as those of one that sees the observation alone.
+
+    What it sees of phi is each entry's place in the task's own `box` (2, d), from -1 to 1.
+    """
+    seen = (2 * (phi - box[0]) / (box[1] - box[0]) - 1).astype(np.float32)
+    return weight[:, : -len(phi)], bias + weight[:, -len(phi) :] @ seen
 
 
 def policy_files(policy: Policy, program: Program, horizon: int) -> dict[str, bytes]:

@@ -121,7 +121,7 @@ function showRun(run) {
   chip.hidden = progress.hidden = !run;
   doing.textContent = run ? describe(run) : "";
   doing.title = run ? run.reason : "";
-  document.title = run ? `${run.status} ${run.iteration}/${run.iterations} · MORPH Studio` : "MORPH Studio";
+  document.title = run ? `${run.status} ${run.iterations ? `${run.iteration}/${run.iterations} ` : ""}· MORPH Studio` : "MORPH Studio";
   if (!run) return;
   chip.dataset.status = statusWord.textContent = run.status;
   chip.title = run.reason;

@@ -18,7 +18,7 @@ from morph_core.protocol import (
 from studio.viewer import wording
 from studio.viewer.rules import rules_of
 
-NOT_LIVE: tuple[Status, ...] = ("stopped", "finished", "failed", "lost", "unreadable")
+NOT_LIVE: tuple[Status, ...] = ("queued", "stopped", "finished", "failed", "lost", "unreadable")
 RESUMABLE: tuple[Status, ...] = ("stopped", "failed", "lost")
 _LOG_LINES = 8
 _MORE: dict[str, AnyCommand] = {"Step": StepIteration(), "Checkpoint": Checkpoint(), "Stop": Stop()}
@@ -83,14 +83,12 @@ class RunPanel:
     def update(self, history: History, status: Status, message: str, pending: Sequence[AnyCommand]) -> None:
         """Show a run. `pending` are commands without an answer yet."""
         self._status = status
-        beat = history.heartbeat
-        iterations = max(beat.iterations if beat else 0, history.record.iterations, 1)
-        self.state.content = self._state(history, status, message, iterations)
+        self.state.content = self._state(history, status, message)
         broken = status in ("failed", "lost", "unreadable")
         self.failure.visible = broken
         if broken:
             self.failure.content = wording.alert(f"{status}: {message or 'no reason was recorded'}")
-        self.bar.value = min(100.0, 100.0 * history.iteration / iterations)
+        self.bar.value = min(100.0, 100.0 * history.iteration / max(1, history.planned_iterations or 0))
         self.bar.animated = status in ("starting", "running", "pausing")
         self.bar.color = "red" if broken else "yellow" if status in ("paused", "pausing") else "green"
         self.numbers.content = self._numbers(history)
@@ -110,18 +108,19 @@ class RunPanel:
         else:
             self.failure.content = wording.alert(message or "loading…", wording.BLUE)
 
-    def _state(self, history: History, status: Status, message: str, iterations: int) -> str:
+    def _state(self, history: History, status: Status, message: str) -> str:
         beat = history.heartbeat
         live = status not in NOT_LIVE
         stage = beat.stage if beat and live and beat.stage != status else ""
-        iteration = history.iteration
+        planned = history.planned_iterations
         eta = (
             f" · {wording.duration(beat.eta_seconds)} left" if beat and beat.eta_seconds and status == "running" else ""
         )
         lines = [f"{wording.badge(status)} {wording.text(stage)}"]
         if message and status not in ("failed", "lost", "unreadable"):
             lines.append(wording.text(message))
-        lines.append(f"iteration <b>{iteration}</b> of {iterations}{eta}")
+        of = f" of {'about ' * (history.record.env_steps is not None)}{planned}" if planned else ""
+        lines.append(f"iteration <b>{history.iteration}</b>{of}{eta}")
         return wording.paragraph("<br>".join(lines))
 
     def _numbers(self, history: History) -> str:
@@ -132,7 +131,7 @@ class RunPanel:
             [
                 *_of_hw_phy(history),
                 ("success while exploring", wording.percent(progress.success)),
-                ("environment steps", wording.count(progress.env_steps)),
+                ("environment steps", _steps(progress, history.record.env_steps)),
                 *_costs(progress),
             ]
         )
@@ -159,11 +158,18 @@ def _of_hw_phy(history: History) -> list[tuple[str, str]]:
     ]
 
 
+def _steps(progress: Progress, budget: int | None) -> str:
+    """Return the environment steps so far, and of how many."""
+    return wording.count(progress.env_steps) + (f" of {wording.count(budget)}" if budget is not None else "")
+
+
 def _costs(progress: Progress) -> list[tuple[str, str]]:
     """Return what else was spent so far, and what was lost, as names and values."""
     costs = []
     if progress.relabelled_steps:
-        costs.append(("steps for relabelling and search", wording.count(progress.relabelled_steps)))
+        costs.append(("steps for relabelling", wording.count(progress.relabelled_steps)))
+    if progress.search_steps:
+        costs.append(("steps for the search", wording.count(progress.search_steps)))
     if progress.diverged:
         costs.append(("episodes left out: diverged", wording.count(progress.diverged)))
     return costs

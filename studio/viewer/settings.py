@@ -22,6 +22,7 @@ class SettingsForm:
         self._gui = gui
         self._task: Task | None = None
         self._method: Method | None = None
+        self._preset: str | None = None
         self._more: dict[str, Any] = {}
         """The settings that are folded away, by dotted name."""
         self._folders: list[viser.GuiFolderHandle] = []
@@ -45,9 +46,11 @@ class SettingsForm:
             "alpha": self.alpha, "projection": self.projection, "exploration": self.exploration, "search": self.search,
         }  # fmt: skip
 
-    def show(self, task: Task, method: str) -> None:
-        """Show the settings of a method, with the defaults that were found to work for the task."""
-        self._task, self._method = task, make_method(method, task)
+    def show(self, task: Task, method: str, preset: str | None = None) -> None:
+        """Show the settings of a method as the preset has them, or, without one, as they were found to work for the
+        task."""
+        self._task, self._preset = task, preset
+        self._method = make_method(method, task, preset=preset)
         fields = {field.name: field for field in chosen_fields(self._method, task)}
         self._filling = True
         for path, handle in self._in_sight.items():
@@ -70,7 +73,7 @@ class SettingsForm:
         parts = {path: value for path, value in chosen.items() if path in _PARTS}
         defaults = {
             field.name: field.default
-            for field in chosen_fields(make_method(self._method.name, self._task, parts), self._task)
+            for field in chosen_fields(make_method(self._method.name, self._task, parts, self._preset), self._task)
         }
         more = {path: handle.value for path, handle in self._more.items() if path in defaults}
         return chosen | {path: value for path, value in more.items() if value != defaults[path]}
@@ -81,7 +84,7 @@ class SettingsForm:
             return
         wanted = {path: self._in_sight[path].value for path in _PARTS if self._in_sight[path].visible}
         try:
-            method = make_method(self._method.name, self._task, wanted)
+            method = make_method(self._method.name, self._task, wanted, self._preset)
         except ValueError:  # said when the run is started
             return
         self._fold(chosen_fields(method, self._task))

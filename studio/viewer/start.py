@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import viser
 
 from morph_core.catalogue import METHODS, TASKS, broken_plugins, make_method, make_task
+from morph_core.presets import PRESETS
 from morph_core.protocol import Parameter
 from morph_core.task import Task
 from studio import limits
@@ -22,11 +23,12 @@ class StartRequest:
     """A run that somebody wants."""
 
     task: str
+    preset: str | None
     method: str
     seed: int
     iterations: int
     settings: dict[str, object]
-    """Settings of the method that differ from the defaults, under dotted names."""
+    """Settings of the method that differ from the preset, or from the defaults without one, under dotted names."""
     task_options: dict[str, object]
     """Fields of the task's dataclass that differ from its defaults."""
     parameters: list[Parameter] | None = None
@@ -55,14 +57,16 @@ class StartPanel:
             self.task = gui.add_dropdown("task", list(TASKS), initial_value=first, hint="What the robot has to do.")
             self.options = {name: self._add_options(gui, name) for name in TASKS}
             self.method = gui.add_dropdown("method", list(METHODS), hint=_methods_hint())
-            self.seed = gui.add_number(
-                "seed", 0, min=0, max=limits.LARGEST_SEED, step=1, hint="The same seed gives the same run."
-            )
+            self.preset = gui.add_dropdown("preset", list(PRESETS), hint="One word for a whole set of settings.")
+            self.meaning = gui.add_html("")
             self.iterations = gui.add_number(
                 "iterations", _usual_iterations(task), min=1, max=limits.MAX_ITERATIONS, step=1,
                 hint="Each samples trajectories, learns from them, and searches for the next design.",
             )  # fmt: skip
             self.start = gui.add_button("Start", color="green", icon=viser.Icon.PLAYER_PLAY)
+            self.seed = gui.add_number(
+                "seed", 0, min=0, max=limits.LARGEST_SEED, step=1, hint="The same seed gives the same run."
+            )
             self.settings = SettingsForm(gui)
             self.source = gui.add_html("", visible=False)
             self.bring = gui.add_upload_button(
@@ -73,7 +77,8 @@ class StartPanel:
         self.start.on_click(lambda event: self.submit(event.client))
         self.task.on_update(lambda _: self._choose_task())
         self.method.on_update(lambda _: self._choose_method())
-        self.settings.show(task, self.method.value)
+        self.preset.on_update(lambda _: self._choose_method())
+        self._choose_method()
         if broken := broken_plugins():
             self.tell("; ".join(f"plug-in left out: {plugin}" for plugin in broken), wording.AMBER)
         self.bring.on_upload(lambda event: self.take(event.target.value.content))
@@ -116,10 +121,12 @@ class StartPanel:
         """Return what the form says, or raise ValueError with a sentence that says what is allowed."""
         name, method = self.task.value, self.method.value
         task = make_task(name, self._task_options(name) if name in TASKS else None)
+        preset = self._preset()
         settings = self.settings.settings() if method in METHODS else {}
-        make_method(method, task, settings)
+        make_method(method, task, settings, preset)
         return StartRequest(
             task=name,
+            preset=preset,
             method=method,
             seed=limits.seed(self.seed.value),
             iterations=limits.iterations(self.iterations.value),
@@ -192,8 +199,16 @@ class StartPanel:
         self._on_preview()
 
     def _choose_method(self) -> None:
+        """Show the settings of the method that is chosen, as the preset has them."""
+        has_presets = any(preset.method == self.method.value for preset in PRESETS.values())
+        self.preset.visible = self.meaning.visible = has_presets
+        self.meaning.content = wording.paragraph(wording.dim(PRESETS[self.preset.value].meaning))
         if self.method.value in METHODS and self.task.value in TASKS:
-            self.settings.show(make_task(self.task.value), self.method.value)
+            self.settings.show(make_task(self.task.value), self.method.value, self._preset())
+
+    def _preset(self) -> str | None:
+        """Return the preset that is chosen; None where the method has none."""
+        return self.preset.value if self.preset.visible else None
 
 
 def _usual_iterations(task: Task) -> int:

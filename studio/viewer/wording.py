@@ -25,6 +25,7 @@ GREEN, AMBER, RED, GREY, BLUE = "#2b9a5b", "#b97a00", "#d0342c", "#7a828e", "#2f
 """CSS colours that can be read on the light and on the dark theme."""
 
 STATUS_COLOURS: dict[Status, str] = {
+    "queued": GREY,
     "starting": BLUE,
     "running": GREEN,
     "pausing": AMBER,

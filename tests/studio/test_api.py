@@ -20,6 +20,7 @@ from hypothesis.errors import Unsatisfiable
 
 from morph_core.catalogue import make_method, make_task
 from morph_core.config import paths_of
+from morph_core.presets import PRESETS
 from morph_core.protocol import Pause, StateChanged
 from morph_core.run_folder import EventLog, RunFolder
 from studio.settings import Settings
@@ -132,6 +133,14 @@ def test_a_started_run_is_listed_and_shown(served: Served, run_id: str) -> None:
     assert eventually(lambda: served.viewer.selected == run_id)
 
 
+def test_a_preset_is_told_and_taken(served: Served) -> None:
+    presets = {preset["name"]: preset for preset in served.client.get("/api/tasks").json()["presets"]}
+    assert presets["paper"] == {"name": "paper", "meaning": PRESETS["paper"].meaning, "method": "morph"}
+    wish = {"task": "reacher", "preset": "paper", "settings": {"projection": "none"}}
+    config = served.client.post("/api/runs", json=wish).json()["config"]
+    assert (config["exploration"]["name"], config["projection"], config["freeze_success"]) == ("gaussian", "none", 0.8)
+
+
 @pytest.mark.parametrize(
     ("body", "sentence"),
     [
@@ -141,6 +150,8 @@ def test_a_started_run_is_listed_and_shown(served: Served, run_id: str) -> None:
         ({"task": "reacher", "settings": {"alpha": "1"}}, "alpha must be a number"),
         ({"task": "reacher", "settings": {"trajectories": 7}}, "trajectories must be a multiple of 2"),
         ({"task": "reacher", "task_options": {"tunnel": ["zigzag"]}}, "choose from: zigzag, paper"),
+        ({"task": "reacher", "preset": "letter"}, 'unknown preset "letter"; choose from: studio, paper'),
+        ({"task": "reacher", "preset": "paper", "method": "direct"}, "one of the method morph, not of direct"),
         ({"task": "reacher", "iterations": 0}, "iterations"),
         ({"task": "reacher", "seed": -1}, "seed"),
         ({"task": "reacher", "colour": "red"}, "colour"),

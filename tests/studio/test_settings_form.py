@@ -4,6 +4,7 @@ import pytest
 from conftest import Page
 
 from morph_core.catalogue import METHODS, make_method, make_task
+from morph_core.presets import PRESETS
 from studio.fields import chosen_fields
 
 
@@ -33,6 +34,27 @@ def test_another_search_brings_its_own_settings_with_what_the_task_has_tuned(pag
     form.settings._more["search.population"].value = 16
     form.submit(None)
     assert page.started[0].settings == {"search": "cma", "search.population": 16}
+
+
+def test_a_preset_fills_the_form_and_says_what_it_means(page: Page) -> None:
+    form = page.viewer.start
+    assert PRESETS["studio"].meaning in form.meaning.content
+    form.preset.value = "paper"
+    assert PRESETS["paper"].meaning.split("'")[0] in form.meaning.content
+    assert (form.settings.exploration.value, form.settings.projection.value) == ("gaussian", "one_sided")
+    assert form.settings._more["freeze_success"].value == 0.8
+    form.settings.projection.value = "none"
+    form.submit(None)
+    assert (page.started[0].preset, page.started[0].settings) == ("paper", {"projection": "none"})
+
+
+def test_a_method_without_presets_offers_none(page: Page) -> None:
+    form = page.viewer.start
+    form.preset.value, form.method.value = "paper", "direct"
+    assert not form.preset.visible
+    assert not form.meaning.visible
+    form.submit(None)
+    assert (page.started[0].method, page.started[0].preset) == ("direct", None)
 
 
 def test_a_setting_outside_its_range_starts_nothing_and_says_what_is_allowed(page: Page) -> None:

@@ -1,0 +1,75 @@
+"""Presets: one word for a whole set of settings of a method."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from morph_core.config import flattened
+from morph_core.task import Task
+
+DEFAULT_METHOD = "morph"
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Settings of a method that belong together, under one word."""
+
+    name: str
+    meaning: str
+    """Sentence for people on what the preset is."""
+    method: str
+    settings: Mapping[str, object] = field(default_factory=dict)
+    """Settings that differ from those that were found to work for the task, under dotted names."""
+    where_no_proxy_world: Mapping[str, object] = field(default_factory=dict)
+    """Settings in place of those, for a task that can't be simulated in the proxy's world."""
+
+    def settings_for(self, task: Task | None) -> dict[str, object]:
+        """Return the settings of the preset for a task, or for any that can be simulated in the proxy's world, under
+        dotted names."""
+        return dict(self.settings) | ({} if task is None or task.runs_on_proxy else dict(self.where_no_proxy_world))
+
+
+PRESETS: Mapping[str, Preset] = {
+    preset.name: preset
+    for preset in (
+        Preset(
+            "studio",
+            "Today's defaults: designs around φ are tried on Hw-Phy, no gradient is projected.",
+            "morph",
+        ),
+        Preset(
+            "paper",
+            "Algorithm 1: trajectories in the proxy's world (of the hands: on Hw-Phy), CMA-ES, projection.",
+            "morph",
+            # phi has to be frozen on success: among episodes that all succeed, ranking moves it at random.
+            {"exploration": "gaussian", "search": "cma", "projection": "one_sided", "freeze_success": 0.8},
+            {"exploration": "design"},
+        ),
+    )
+}
+
+
+def preset_named(name: str) -> Preset:
+    """Return a preset; ValueError lists the choices."""
+    if name not in PRESETS:
+        raise ValueError(f'unknown preset "{name[:40]}"; choose from: {", ".join(PRESETS)}')
+    return PRESETS[name]
+
+
+def with_preset(
+    preset: str | None, method: str | None, task: Task | None, settings: Mapping[str, object]
+) -> tuple[str, dict[str, object]]:
+    """Return the method, and its settings under dotted names: those of the preset with `settings` on top.
+
+    Where `settings` choose another exploration or search than the preset, what the preset says of that part is left
+    out. Raise ValueError for an unknown preset, or one of another method than `method`.
+    """
+    asked = flattened(dict(settings))
+    if preset is None:
+        return method or DEFAULT_METHOD, asked
+    chosen = preset_named(preset)
+    if method not in (None, chosen.method):
+        raise ValueError(f"the preset {preset} is one of the method {chosen.method}, not of {method}: leave one out")
+    own = chosen.settings_for(task)
+    replaced = [f"{name}." for name, value in asked.items() if name in own and own[name] != value]
+    kept = {name: value for name, value in own.items() if not name.startswith(tuple(replaced))}
+    return chosen.method, kept | asked

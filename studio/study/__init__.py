@@ -1,0 +1,1 @@
+"""Studies: one plan of tasks, methods and seeds, run by a launcher, compared in a report."""
