@@ -55,7 +55,7 @@ _MORPH = Morph(
     search=Drift(pairs=256, drift_clip=0.2, ridge=1.0),
 )
 _CMA = Cma(pairs=256, population=10, generations=6)
-_CMA_DEBIASED = CmaDebiased(pairs=256, drift_clip=0.2)
+_CMA_DEBIASED = CmaDebiased(pairs=128, drift_clip=0.2)
 
 
 @dataclass(frozen=True)

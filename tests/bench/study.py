@@ -38,6 +38,8 @@ class Study:
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     env_steps: float = 0.7e6
     """Budget per run."""
+    cpu_seconds: float = float("inf")
+    """A run ends too when it has taken so long."""
     level: float = 0.95
     """Success of the sampled policy that counts as solved."""
     deterministic_level: float = 0.80
@@ -118,7 +120,7 @@ def run_one(study: Study, settings: dict[str, Any], options: dict[str, Any], see
                 row.deterministic_solved = reached
             if study.stop and len(row.curve) > 1 and min(success for _, _, success, _ in row.curve[-2:]) >= study.level:
                 break
-        if taken >= study.env_steps:
+        if taken >= study.env_steps or time.process_time() - began >= study.cpu_seconds:
             break
     row.explored = max(p.success for p in history)
     row.env_steps, row.cpu_seconds, row.diverged = taken, time.process_time() - began, state.diverged

@@ -1,6 +1,5 @@
 """CMA-ES on the divergence without the variance of contact, on a Hw-Phy of which it is known where it must end."""
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,11 @@ from morph_core.checkpoint import load_checkpoint, save_checkpoint
 from morph_core.design import DesignSpace
 from morph_core.protocol import RunRecord
 from morph_core.run_folder import create_run
-from morph_core.search import Dataset, Memory, Physics, Problem
-from morph_core.searches.cma_debiased import CmaDebiased, Ended, split_halves
+from morph_core.search import Dataset, Physics, Problem
+from morph_core.searches import cma_debiased
+from morph_core.searches.cma_debiased import DRAWS, SMALLEST_VARIANCE, CmaDebiased, split_halves
 from morph_core.spread import Spread
-from morph_core.state import start
+from morph_core.state import State, start
 from morph_core.task import Task
 from tests.core.scales import Scales, proxy, replaced, weights_of
 
@@ -43,17 +43,27 @@ def dataset_of(phi: Any, pairs: int = 64) -> Dataset:
     return Dataset(np.ones((pairs, 3)), np.zeros((pairs, 2)), np.tile(np.asarray(phi, dtype=float), (pairs, 1)))
 
 
-def ended(**settings: Any) -> Ended:
-    return CmaDebiased(**settings).memory(proxy([[2.0, 0.0], [0.0, 2.0]]))
-
-
 def problem(dataset: Dataset, space: DesignSpace = SPACE, task: Task | None = None, **others: Any) -> Problem:
-    given = {"start": START, "spread": Spread(SIGMA, 0.0), "memory": ended(), "seed": 1} | others
+    memory = CmaDebiased().memory(proxy([[2.0, 0.0], [0.0, 2.0]]))
+    given = {"start": START, "spread": Spread(SIGMA, 0.0), "memory": memory, "seed": 1} | others
     return Problem(Noted(task or Scales()), space, dataset, **given)
 
 
 def asked_of(asked: Problem) -> list[np.ndarray]:
     return asked.physics.asked  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def learnt(state: State) -> tuple[list[Any], list[Any]]:
+    """Return all weights of proxy and twin."""
+    of_twin = state.memory.learners["reference"]
+    proxy, twin = ([weight.tolist() for weight in net.proxy.parameters()] for net in (state.hw_nn, of_twin))
+    return proxy, twin
+
+
+@pytest.fixture
+def many_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every pair (s, a) have a design of its own, so that means over pairs are those over designs."""
+    monkeypatch.setattr(cma_debiased, "DRAWS", 1000)
 
 
 def long(**settings: Any) -> CmaDebiased:
@@ -108,53 +118,59 @@ def test_contact_that_shakes_larger_designs_more_draws_phi_nowhere() -> None:
     assert np.allclose(found, [3.0, 3.0], atol=0.2)  # the divergence is least at phi = 3 / (1 + 1)
 
 
-def test_no_entry_of_phi_changes_by_more_than_the_limit_in_sigmas() -> None:
-    asked = problem(dataset_of([9.0, -9.0]))
-    found = long(limit=0.5).candidates(asked)[0]
-    assert np.allclose((found - START) / UNIT, [0.5, -0.5], atol=0.01)
-    near = CmaDebiased(limit=0.5, smear=1e-9).candidates(asked := problem(dataset_of([9.0, -9.0])))[0]
-    designs = np.concatenate([designs.reshape(-1, 2) for designs in asked_of(asked)[2:]])
-    assert np.abs((designs - START) / UNIT).max() <= 0.5 + 1e-6
-    assert np.abs((near - START) / UNIT).max() <= 0.5
+@pytest.mark.parametrize("limit", [0.5, 2.0])
+def test_a_step_is_at_most_as_long_as_the_limit_in_sigmas(limit: float) -> None:
+    far, near = dataset_of([9.0, -9.0]), dataset_of(START + 0.1 * UNIT)
+    found = (long(limit=limit).candidates(problem(far))[0] - START) / UNIT
+    assert np.linalg.norm(found) == pytest.approx(limit)
+    assert found[0] > 0 > found[1]
+    found = (long(limit=limit).candidates(problem(near))[0] - START) / UNIT
+    assert np.allclose(found, 0.1, atol=0.02)
+
+
+def test_the_limit_counts_a_change_that_designs_have_in_common_as_a_shorter_one() -> None:
+    space = Scales(grouped=True).design_space
+    for change, length in ([1.0, 1.0], np.sqrt(2 / 1.8)), ([1.0, -1.0], np.sqrt(2 / 0.2)):
+        towards = problem(dataset_of(START + np.array(change) * 3 * UNIT), space, spread=Spread(SIGMA, 0.8))
+        found = (long(limit=1.0).candidates(towards)[0] - START) / UNIT
+        assert found == pytest.approx(np.array(change) / length, abs=0.05)
 
 
 def test_cma_begins_at_phi_with_the_step_of_its_settings_in_sigmas() -> None:
     asked = problem(dataset_of([5.0, 6.0]))
-    CmaDebiased(population=1000, generations=1, sigma0=0.25, smear=1e-9, limit=100.0).candidates(asked)
+    CmaDebiased(population=1000, generations=1, sigma0=0.25, smear=1e-9).candidates(asked)
     first = asked_of(asked)[2][:, 0]
     assert np.allclose(first.mean(0), START, atol=0.05)
     assert np.allclose(first.std(0), 0.25 * UNIT, rtol=0.1)
 
 
-def test_the_pull_weighs_a_step_of_one_sigma_in_the_units_of_the_cost() -> None:
-    wanted = START + np.array([1.0, 0.0]) * UNIT
-    free = long().costs(asked := problem(dataset_of(wanted)), ended(), UNIT)
-    held = long(pull=0.7).costs(asked, ended(), UNIT)
-    for steps, length in ([[0, 0], 0], [[1, 0], 1], [[2, 1], 5], [[0, -3], 9]):
-        at = (START + steps * UNIT)[None]
-        assert held(at) - free(at) == pytest.approx(0.7 * length, abs=0.05 * (1 + length))
+def test_a_candidate_is_asked_for_along_the_axes_in_which_the_explored_designs_vary() -> None:
+    space = Scales(grouped=True).design_space
+    asked = problem(dataset_of([5.0, 6.0]), space, spread=Spread(SIGMA, 0.8))
+    CmaDebiased(population=1000, generations=1, smear=1e-9).candidates(asked)
+    assert np.corrcoef(asked_of(asked)[2][:, 0].T)[0, 1] == pytest.approx(0.8, abs=0.05)
 
 
+@pytest.mark.usefixtures("many_draws")
 def test_each_component_counts_in_units_of_what_the_explored_designs_change() -> None:
-    cost = CmaDebiased(draws=2000, smear=1e-9).costs(problem(dataset_of(START, 2000)), ended(), UNIT)
+    cost = CmaDebiased(smear=1e-9).costs(problem(dataset_of(START, 2000)))
     for steps, length in ([[1, 0], 1], [[0, 1], 1], [[3, 0], 9]):  # a variance of one Sigma each
         assert cost((START + steps * UNIT)[None]) == pytest.approx(length, rel=0.15)
 
 
 @pytest.mark.parametrize(("clip", "cost"), [(0.0, 9.0), (1.0, 1.0), (0.5, 0.25)])
+@pytest.mark.usefixtures("many_draws")
 def test_differences_count_up_to_the_clip(clip: float, cost: float) -> None:
     given = problem(dataset_of([5.0, 2.0], 2000), spread=Spread(0.1, 0.0))
-    of = CmaDebiased(draws=2000, smear=1e-9, drift_clip=clip).costs(given, ended(), 0.1 * SPACE.scale)
+    of = CmaDebiased(smear=1e-9, drift_clip=clip).costs(given)
     assert of(START[None]) == pytest.approx(cost / 0.1**2, rel=0.15)
 
 
-def test_what_the_proxy_does_not_fit_is_no_drift() -> None:
-    memory = ended()
-    memory.reference = proxy([[2.5, 0.0], [0.0, 2.0]])  # Hw-Phy says 2
-    wanted = dataset_of([2.5 + 0.4, 2.0])
-    for target, found in ("proxy", 2.9), ("drift", 2.4):
-        asked = problem(wanted, memory=memory)
-        assert np.allclose(long(target=target).candidates(asked)[0], [found, 2.0], atol=0.01)
+@pytest.mark.usefixtures("many_draws")
+def test_the_variance_of_what_contact_does_to_designs_is_clipped_too() -> None:
+    given = problem(dataset_of([5.0, 2.0], 2000), spread=Spread(1.0, 0.0))
+    of = CmaDebiased(smear=1e-9, drift_clip=0.01).costs(given)  # nearly all of the halved differences are beyond it
+    assert of(START[None]) == pytest.approx(0.01**2 / (2 * 0.01**2 + SMALLEST_VARIANCE), rel=0.05)
 
 
 def test_locks_hold() -> None:
@@ -176,27 +192,29 @@ def test_designs_that_can_not_be_simulated_change_nothing() -> None:
 
 
 def test_all_candidates_of_a_generation_share_the_designs_around_them_and_no_two_halves_do() -> None:
-    asked = problem(dataset_of(START, pairs=12))
-    CmaDebiased(population=4, generations=2, draws=4, sigma0=0.1).candidates(asked)
+    asked = problem(dataset_of(START, pairs=4 * DRAWS))
+    CmaDebiased(population=4, generations=2, sigma0=0.1).candidates(asked)
     halves = asked_of(asked)
-    assert [designs.shape for designs in halves] == [(1, 12, 2)] * 2 + [(4, 12, 2)] * 4
-    assert asked.physics.steps == (2 * 1 + 2 * 2 * 4) * 12
+    assert [len(designs) for designs in halves] == [1] * 2 + [4] * 4
+    assert asked.physics.steps == (2 * 1 + 2 * 2 * 4) * 4 * DRAWS
     changes = [designs - designs.mean(1, keepdims=True) for designs in halves]
     for around in changes:
         assert np.allclose(around, around[:1])  # each candidate the same
-        assert np.allclose(around[0, :4], around[0, 4:8])  # dealt out in turn
-        assert np.allclose(around[0, :2], -around[0, 2:4])  # antithetic
+        first, mirrored, again, _ = np.split(around[0], 4)  # dealt out in turn
+        assert np.allclose(first, again)
+        assert np.allclose(first, -mirrored)
     drawn = [around[0, 0].round(6).tolist() for around in changes]
     assert len({tuple(one) for one in drawn}) == len(drawn)
 
 
-@pytest.mark.parametrize(("smear", "width"), [(0.5, 0.5), (2.0, 2.0)])
-def test_a_candidate_is_smeared_by_a_share_of_sigma(smear: float, width: float) -> None:
+@pytest.mark.parametrize("smear", [0.5, 2.0])
+@pytest.mark.usefixtures("many_draws")
+def test_a_candidate_is_smeared_by_a_share_of_sigma(smear: float) -> None:
     asked = problem(dataset_of(START, pairs=2000))
-    CmaDebiased(population=4, generations=1, draws=2000, smear=smear).candidates(asked)
+    CmaDebiased(population=4, generations=1, smear=smear).candidates(asked)
     explored, candidate = asked_of(asked)[0][0], asked_of(asked)[2][0]
     assert np.allclose(explored.std(0), UNIT, rtol=0.1)
-    assert np.allclose(candidate.std(0), width * UNIT, rtol=0.1)
+    assert np.allclose(candidate.std(0), smear * UNIT, rtol=0.1)
 
 
 def test_the_same_seed_finds_the_same_phi() -> None:
@@ -209,43 +227,16 @@ def test_the_same_seed_finds_the_same_phi() -> None:
 # --- what it keeps ---
 
 
-def test_a_warm_search_begins_as_wide_as_the_last_one_ended_and_never_wider_than_sigma0() -> None:
-    memory, search = ended(), CmaDebiased(population=1000, generations=1, sigma0=0.5, smear=1e-9, limit=100.0)
-    for start_as, before, width in (
-        ("fresh", [0.2, 0.3], [0.5, 0.5]),
-        ("warm", [0.2, 0.3], [0.2, 0.3]),
-        ("warm", [9.0, 0.001], [0.5, 0.05]),
-        ("warm", None, [0.5, 0.5]),
-    ):
-        memory.stds = None if before is None else np.array(before)
-        asked = problem(dataset_of([3.0, 1.5]), memory=memory)
-        dataclasses.replace(search, start=start_as).candidates(asked)
-        assert np.allclose(asked_of(asked)[2][:, 0].std(0), width * UNIT, rtol=0.1)
+def test_once_phi_has_moved_the_proxy_starts_again_from_its_twin() -> None:
+    hw_nn = proxy([[2.0, 0.0], [0.0, 2.0]])
+    memory = CmaDebiased().memory(hw_nn)
+    hw_nn.copy_weights(proxy([[3.0, 0.0], [0.0, 2.0]]))
+    memory.phi_was_found(hw_nn)
+    assert weights_of(hw_nn) == [[2.0, 0.0], [0.0, 2.0]]
 
 
-def test_how_wide_it_ended_is_kept_in_sigmas() -> None:
-    memory = ended()
-    for generations in (1, 30):
-        long(generations=generations, sigma0=0.4).candidates(problem(dataset_of(START), memory=memory))
-        assert memory.stds is not None
-        wide = memory.stds.max() > 0.2
-        assert wide == (generations == 1)
-
-
-def test_after_the_search_the_proxy_settles_where_it_is_asked_to() -> None:
-    for settle, weights in ("proxy", [[2.0, 0.0], [0.0, 2.0]]), ("nothing", [[3.0, 0.0], [0.0, 2.0]]):
-        memory, hw_nn = ended(settle=settle), proxy([[3.0, 0.0], [0.0, 2.0]])
-        memory.phi_was_found(hw_nn)
-        assert weights_of(hw_nn) == weights
-
-
-def test_it_needs_its_own_memory() -> None:
-    with pytest.raises(ValueError, match="the search cma_debiased needs the memory"):
-        CmaDebiased().candidates(problem(dataset_of(START), memory=Memory()))
-
-
-def test_a_warm_run_that_was_stopped_goes_on_as_one_that_was_not(tmp_path: Path) -> None:
-    method = replaced(search=CmaDebiased(pairs=8, population=4, generations=2, start="warm"))
+def test_a_run_that_was_stopped_goes_on_as_one_that_was_not(tmp_path: Path) -> None:
+    method = replaced(search=CmaDebiased(pairs=8, population=4, generations=2), design_interval=2)
     record = RunRecord(
         id="run", task="scales", method="morph", seed=3, iterations=6, config={},
         parameters=list(SPACE.parameters), versions={}, created=0.0,
@@ -257,15 +248,10 @@ def test_a_warm_run_that_was_stopped_goes_on_as_one_that_was_not(tmp_path: Path)
     folder = create_run(tmp_path, record)
     save_checkpoint(folder, whole, 1.0)
     resumed, _ = load_checkpoint(folder, 3, Scales(), method)
-    assert resumed.memory.facts == whole.memory.facts != {}
+    assert learnt(resumed) == learnt(whole)
     going_on = method.iterations(Scales(), resumed)
-    for _ in range(3):
+    for _ in range(2):
         assert next(going_on) == next(run)
-    assert resumed.memory.facts == whole.memory.facts
-
-
-def test_a_checkpoint_before_the_first_search_knows_no_width() -> None:
-    memory = ended()
-    assert memory.facts == {}
-    memory.recall({})
-    assert memory.stds is None
+    assert resumed.phi.tolist() == whole.phi.tolist()
+    assert learnt(resumed) == learnt(whole)
+    assert learnt(whole)[0] != learnt(whole)[1]
