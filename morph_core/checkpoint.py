@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import safetensors
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from morph_core import durable
@@ -24,7 +24,8 @@ DIRECTIONS = "exploration/directions"
 def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None:
     """Write checkpoints/<iteration>/; an earlier one of the same iteration stays until the new one is whole."""
     with durable.replaced_folder(folder.checkpoint(state.iteration)) as draft:
-        save_file(_tensors(state), draft / "weights.safetensors")
+        # Not save_file: its files are their owner's alone, whatever the umask, and a group could not go on with a run.
+        (draft / "weights.safetensors").write_bytes(save(_tensors(state)))
         facts = {
             "iteration": state.iteration,
             "env_steps": state.env_steps,

@@ -61,6 +61,9 @@ class History:
         self.acknowledged: list[Acknowledged] = []
         self.state: StateChanged | None = None
         self.heartbeat: Heartbeat | None = None
+        self.other_processor = ""
+        """Warning that the run was started again on another kind of processor, in words; empty where it was not."""
+        self._processor = ""
         self._changes: list[Acknowledged | DesignSpaceChanged] = []
         self._offset = 0
         self._moved = time.monotonic()  # s, when the heartbeat was last seen to change
@@ -92,10 +95,22 @@ class History:
                     self._changes.append(event)
             if isinstance(event, StateChanged):
                 self.state = event
+                self._compare_processors(event)
         self.events.extend(events)
         if events:
             self.in_force = self.at()
         return events
+
+    def _compare_processors(self, event: StateChanged) -> None:
+        if not event.processor:
+            return
+        now = f"{event.processor}, {event.instruction_set}"
+        if self._processor and now != self._processor:
+            self.other_processor = (
+                f"begun on {self._processor}, went on from iteration {event.iteration} on {now}: "
+                "an uninterrupted run may differ in its last bits, and so in its course"
+            )
+        self._processor = now
 
     def at(self, iteration: float = math.inf) -> InForce:
         """Return what was in force when `iteration` began, by default what is now. What a resume voided never was."""
@@ -134,7 +149,7 @@ class History:
             return status
         beat = self.heartbeat
         if beat is None:
-            if self.folder.is_launched():
+            if self.state is None and self.folder.is_launched():
                 return "queued"
             return status if time.time() - self.record.created < STARTS_WITHIN else "lost"
         if not still_beating(beat, unchanged=time.monotonic() - self._moved):

@@ -140,6 +140,10 @@ class StateChanged(Event, tag="state", frozen=True):
     status: Status
     iteration: int
     message: str = ""
+    processor: str = ""
+    """Model of the processor on which the trainer starts; with another one, results may differ in their last bits."""
+    instruction_set: str = ""
+    """Instruction set that torch takes on it, such as AVX2 or AVX512."""
 
 
 class Progress(Event, tag="progress", frozen=True):

@@ -40,6 +40,10 @@ class RunFolderError(ValueError):
     """A run folder that is missing, foreign, corrupt, or held by another trainer; says which and why."""
 
 
+class HeldError(RunFolderError):
+    """A run folder that another trainer holds; it will be free once that one has ended."""
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """Paths, readers and the inbox of one run; writing events is the trainer's (`EventLog`)."""
@@ -245,15 +249,23 @@ def new_run_id(task: str, method: str, seed: int, now: float | None = None) -> s
 
 @contextlib.contextmanager
 def hold(folder: RunFolder) -> Iterator[None]:
-    """Hold the folder as its single writer; raise RunFolderError if another trainer does."""
+    """Hold the folder as its single writer; raise HeldError if another trainer does.
+
+    Raise RunFolderError with the reason where the file system of the folder has no locks.
+    """
     with (folder.path / "trainer.lock").open("a+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel lets go of it even after kill -9
-        except OSError:
+        except BlockingIOError:
             file.seek(0)
-            raise RunFolderError(f"{folder.id} is held by another trainer ({file.read().strip() or '?'})") from None
+            raise HeldError(f"{folder.id} is held by another trainer ({file.read().strip() or '?'})") from None
+        except OSError as error:
+            raise RunFolderError(
+                f"{folder.id} can't be locked ({error.strerror}): put the runs on a file system with locks "
+                "(a local disk, NFS, Lustre mounted with -o flock), not on a mounted bucket"
+            ) from error
         file.truncate(0)
-        file.write(f"pid {os.getpid()} started {psutil.Process().create_time():.2f}")
+        file.write(f"{platform.node()} pid {os.getpid()} started {psutil.Process().create_time():.2f}")
         file.flush()
         yield
 
@@ -281,9 +293,13 @@ class EventLog:
         self.seq += 1
         return stamped
 
+    def sync(self) -> None:
+        """Make sure that what was written is on the disk: the other machines of a shared one see it only then."""
+        os.fsync(self._file.fileno())
+
     def close(self) -> None:
         """Make sure that every event is on the disk, and close the log."""
-        os.fsync(self._file.fileno())
+        self.sync()
         self._file.close()
 
 
@@ -302,13 +318,17 @@ class HeartbeatFile:
     """heartbeat.json, rewritten in place in one write of a fixed size: readers see the old one or the new one."""
 
     def __init__(self, folder: RunFolder) -> None:
-        self._fd = os.open(folder.path / "heartbeat.json", os.O_RDWR | os.O_CREAT, 0o644)
+        self._fd = os.open(folder.path / "heartbeat.json", os.O_RDWR | os.O_CREAT, 0o666)
 
     def write(self, beat: Heartbeat) -> None:
         """Write a heartbeat in place of the last one; a message that does not fit is shortened."""
         while len(text := protocol.encode(beat)) > HEARTBEAT_BYTES:
             beat = msgspec.structs.replace(beat, message=beat.message[: len(beat.message) // 2])
         os.pwrite(self._fd, text.ljust(HEARTBEAT_BYTES), 0)
+
+    def sync(self) -> None:
+        """Make sure that the last heartbeat is on the disk: the other machines of a shared one see it only then."""
+        os.fsync(self._fd)
 
     def close(self) -> None:
         """Close the file; the last heartbeat stays in it."""

@@ -29,6 +29,7 @@ from morph_core.edits import AnyEdit, edited
 from morph_core.episodes import Score, evaluate, record_episode
 from morph_core.history import History, InForce
 from morph_core.method import Method
+from morph_core.processor import processor
 from morph_core.protocol import (
     Acknowledged,
     AnyCommand,
@@ -42,7 +43,7 @@ from morph_core.protocol import (
     Status,
 )
 from morph_core.rollout import Rollout
-from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, RunFolderError, hold, write_episode
+from morph_core.run_folder import EventLog, HeartbeatFile, HeldError, RunFolder, RunFolderError, hold, write_episode
 from morph_core.state import State, start
 from morph_core.task import Task
 
@@ -50,6 +51,7 @@ T = TypeVar("T")
 HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
+PAUSED = "it keeps its core, on a cluster until the time limit: Resume goes on, Stop saves and frees the core"
 SHOWN_DESIGNS = 12
 """Largest number of explored designs that are kept with an evaluation."""
 _SAVED_AFTER = AnyEdit | protocol.Checkpoint
@@ -59,7 +61,7 @@ _SAVED_AFTER = AnyEdit | protocol.Checkpoint
 class Trainer:
     """One run from its newest checkpoint on. `state` belongs to the method while it iterates, to us in between."""
 
-    def __init__(self, folder: RunFolder, further: int | None = None) -> None:
+    def __init__(self, folder: RunFolder, further: int | None = None, until: int | None = None) -> None:
         self._folder = folder
         self._record = folder.record()
         self._status: Status = "starting"
@@ -69,8 +71,8 @@ class Trainer:
         self._iteration = self._env_steps = 0
         self._cpu_start = time.process_time()  # s, when this run's CPU clock stood at zero
         history = History(folder)
-        self._last = history.iteration + further if further is not None else self._record.iterations
-        self._budget = None if further is not None else self._record.env_steps
+        self._last = history.iteration + further if further is not None else until or self._record.iterations
+        self._budget = None if (further or until) is not None else self._record.env_steps
         self._longest_iteration = 1  # environment steps
         self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
@@ -135,6 +137,12 @@ class Trainer:
             )
         )  # fmt: skip
 
+    def sync(self) -> None:
+        """Make sure that what was said is on the disk; one that does not take it is met by the next word."""
+        with contextlib.suppress(OSError, ValueError):  # ValueError: the log is being opened again
+            self._log.sync()
+            self._heartbeat.sync()
+
     # --- when it ends ---
 
     def _is_done(self, state: State) -> bool:
@@ -170,7 +178,12 @@ class Trainer:
         self._iteration, self._env_steps = state.iteration, state.env_steps
         self._measured = {iteration for iteration in self._measured if iteration <= state.iteration}
         origin = f"from the checkpoint of iteration {state.iteration}" if state.iteration else "from the initial design"
-        self._write(StateChanged(status="starting", iteration=state.iteration, message=origin))
+        self._write(
+            StateChanged(
+                status="starting", iteration=state.iteration, message=origin, processor=processor(),
+                instruction_set=torch.backends.cpu.get_cpu_capability(),
+            )
+        )  # fmt: skip
         self._write(DesignSpaceChanged(iteration=state.iteration, parameters=list(state.design_space.parameters)))
         return state
 
@@ -237,7 +250,7 @@ class Trainer:
             self._step = False
             return
         self._checkpoint(state)
-        self._enter("paused", "paused")
+        self._enter("paused", "paused", PAUSED)
         while self._paused and not self._step and not self._stopping:
             time.sleep(POLL_SECONDS)
             self._obey(state)
@@ -332,11 +345,11 @@ def apply_edit(command: AnyEdit, state: State, task: Task) -> str:
     return edit.message
 
 
-def train(folder: RunFolder, further: int | None = None) -> int:
+def train(folder: RunFolder, further: int | None = None, until: int | None = None) -> int:
     """Run one trainer on the folder in this process; return the exit status."""
     torch.set_num_threads(1)
     with hold(folder):
-        trainer = Trainer(folder, further)
+        trainer = Trainer(folder, further, until)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: trainer.stop())
         ended = threading.Event()
@@ -351,30 +364,41 @@ def train(folder: RunFolder, further: int | None = None) -> int:
         finally:
             ended.set()
             beats.join()
+            trainer.sync()
     return 0
 
 
 def _keep_beating(trainer: Trainer, ended: threading.Event) -> None:
     while not ended.wait(HEARTBEAT_SECONDS):
         trainer.beat()
+        trainer.sync()  # once a second, beside the learning: a network disk shows the word of a trainer no sooner
 
 
 def _say_into(log: Path) -> None:
     """Let standard output and error go to the end of this file from now on, and work beside it."""
     os.chdir(log.parent)
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
     for stream in (1, 2):
         os.dup2(descriptor, stream)
     os.close(descriptor)
 
 
 def main() -> int:
-    """Parse the arguments; `--standby` waits, with everything loaded, for the arguments as JSON on standard input."""
+    """Parse the arguments; `--standby` waits, with everything loaded, for the arguments as JSON on standard input.
+
+    The exit status is 0 where the run has ended or was stopped, 2 where another trainer holds it, 1 for any failure.
+    """
+    for number in (signal.SIGUSR1, signal.SIGUSR2):  # a cluster's warnings, sent to every process of a job
+        signal.signal(number, signal.SIG_IGN)
     parser = argparse.ArgumentParser(prog="python -m morph_core.train", description=__doc__)
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--run", type=Path, help="run folder")
     what.add_argument("--standby", action="store_true", help='wait for {"run": DIR, "further": M or null} on stdin')
-    parser.add_argument("--further", type=int, help="iterations beyond the last recorded one (default: as planned)")
+    last = parser.add_mutually_exclusive_group()
+    last.add_argument("--further", type=int, help="iterations beyond the last recorded one (default: as planned)")
+    last.add_argument(
+        "--until", type=int, help="last iteration, however often the trainer is started (default: as planned)"
+    )
     options = parser.parse_args()
     if options.standby:
         line = sys.stdin.readline()
@@ -385,11 +409,13 @@ def main() -> int:
         _say_into(options.run / "trainer.log")
     if options.further is not None and options.further < 1:
         parser.error(f"--further must be at least 1, not {options.further}")
+    if options.until is not None and options.until < 1:
+        parser.error(f"--until must be at least 1, not {options.until}")
     try:
-        return train(RunFolder(options.run.resolve()), options.further)
+        return train(RunFolder(options.run.resolve()), options.further, options.until)
     except RunFolderError as error:
         print(f"morph_core.train: {error}", file=sys.stderr)  # noqa: T201 - a process entry
-        return 2
+        return 2 if isinstance(error, HeldError) else 1
 
 
 if __name__ == "__main__":

@@ -29,12 +29,15 @@ from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.runs import runs_router
+from studio.api.study import study_router
 from studio.api.tasks import tasks_router
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
 from studio.export.bundle import Bundle, build_bundle
 from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
+from studio.study.live import LiveReport
+from studio.study.slurm import Slurm
 from studio.trainers import Reserve
 from studio.viewer import StartRequest, Viewer
 
@@ -98,20 +101,26 @@ def create_app(
     settings: Settings,
     *,
     runs: Runs | None = None,
+    launcher: Slurm | None = None,
     viewer: Callable[[viser.ViserServer, Runs], Shows] = make_viewer,
 ) -> FastAPI:
-    """Return the application; `app.state` holds `access`, `runs` and, while it runs, `viser`."""
-    reserve = Reserve()
-    watched = runs or Runs(settings.runs, reserve.spawn)
+    """Return the application; `app.state` holds `access`, `runs` and, while it runs, `viser`.
+
+    New runs are started by `launcher`, by default as processes of this machine.
+    """
+    reserve, report = Reserve(), LiveReport(settings.runs)
+    watched = runs or Runs(settings.runs, reserve.spawn, launcher)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         watched.show_newest()
         with contextlib.ExitStack() as ends:
+            ends.callback(report.close)
             if runs is None:
                 ends.callback(reserve.close)
-                reserve.load()
+                if launcher is None:
+                    reserve.load()
             app.state.viser = GuardedViser()
             ends.callback(app.state.viser.stop)
             shown, done = viewer(app.state.viser.server, watched), threading.Event()
@@ -141,6 +150,7 @@ def create_app(
         designs_router(watched, build_bundle),
         imports_router(watched),
         events_router(watched, stopping),
+        study_router(report),
         viewer_router(),
         docs_router(),
     ):
@@ -213,14 +223,14 @@ class _Server(uvicorn.Server):
             self.on_started()
 
 
-def serve(settings: Settings) -> None:
+def serve(settings: Settings, launcher: Slurm | None = None) -> None:
     """Serve until SIGINT or SIGTERM; runs go on. Raise SystemExit if the port is taken or the start fails."""
     try:
         listener = _listen(settings.host, settings.port)
     except OSError as error:
         print(f"can't listen on {settings.host}:{settings.port}: {error.strerror or error}", file=sys.stderr)  # noqa: T201
         raise SystemExit(1) from None
-    app = create_app(settings)
+    app = create_app(settings, launcher=launcher)
     access: Access = app.state.access
     name = f"[{settings.host}]" if ":" in settings.host else settings.host
     address = f"http://{name}:{listener.getsockname()[1]}/"

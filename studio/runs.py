@@ -1,6 +1,7 @@
 """The runs of one folder: start, adopt and watch their trainers, and pass on commands."""
 
 import contextlib
+import shutil
 import subprocess
 import threading
 import typing
@@ -12,12 +13,14 @@ import msgspec
 from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, Evaluation, StateChanged, Status
+from morph_core.protocol import AnyCommand, Evaluation, StateChanged, Status, Stop
 from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs
 from studio import limits
 from studio.commands import check_command
 from studio.inquest import Inquest
 from studio.new_run import prepare_run
+from studio.study.local import CANCELLED
+from studio.study.slurm import Slurm, SlurmError, slurm_launch
 from studio.trainers import spawn_trainer
 
 WATCHED = 20
@@ -25,6 +28,8 @@ WATCHED = 20
 KEPT = 40
 """Largest number of runs that are kept in memory."""
 _EVENTS_TAIL = 65536
+_TOLD_BY_SLURM: tuple[Status, ...] = ("queued", "stopped", "failed", "lost")
+"""States of a run's folder of which Slurm may know more: the run may wait, or be at work where it is not seen."""
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
@@ -51,11 +56,19 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 class Runs:
     """Runs of one folder with their trainers. It is thread-safe, and every reading is fresh from the folder."""
 
-    def __init__(self, folder: Path, spawn: Callable[..., subprocess.Popen[bytes]] = spawn_trainer) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        spawn: Callable[..., subprocess.Popen[bytes]] = spawn_trainer,
+        launcher: Slurm | None = None,
+    ) -> None:
+        """Take the runs of `folder`. New ones are started by `launcher`, by default as processes of this machine."""
         self.folder = folder
         self.shown: str | None = None
         """The run on screen; None while the start panel is."""
         self._spawn = spawn
+        self._launcher = launcher
+        self._slurm = launcher or Slurm()
         self._lock = threading.RLock()
         self._histories: dict[str, History] = {}  # least recently used first
         self._unreadable: dict[str, tuple[float, str]] = {}
@@ -75,13 +88,21 @@ class Runs:
     def status(self, history: History) -> tuple[Status, str]:
         """Return what the run does and why, including what only a witness of its trainer's death can know."""
         with self._lock:
-            return self._inquest.status(history)
+            return self._in_queue(history.folder, *self._inquest.status(history))
+
+    def ask_slurm(self) -> None:
+        """Find out where the runs in Slurm's queue are, and wait for the answer; else it is found out meanwhile."""
+        self._slurm.states(self.folder, self.ids())
 
     def summary(self, run_id: str) -> Summary:
         """Return one line about a run, whatever its state; raise RunFolderError only if there is no such run."""
         folder = find_run(self.folder, run_id)
         try:
-            return self._ended_summary(folder) or self._summarise(self.get(run_id))
+            line = self._ended_summary(folder)
+            if line is None:
+                return self._summarise(self.get(run_id))
+            status, reason = self._in_queue(folder, line.status, line.reason)
+            return msgspec.structs.replace(line, status=status, reason=reason)
         except RunFolderError as error:
             return Summary(id=run_id, status="unreadable", reason=str(error))
 
@@ -124,15 +145,28 @@ class Runs:
     # --- acting ---
 
     def start(self, **wishes: typing.Any) -> str:
-        """Create a run as `prepare_run` does, start its trainer and show it; return its id."""
+        """Create a run as `prepare_run` does, start its trainer or queue it, and show it; return its id.
+
+        Raise ValueError if it is not allowed, or the cluster refuses it; then there is no such run.
+        """
         folder = prepare_run(self.folder, **wishes)
-        with self._lock:
-            self._launch(folder)
+        if self._launcher:
+            try:
+                self._launcher.submit(self.folder, [folder.id])
+            except SlurmError:
+                shutil.rmtree(folder.path)
+                raise
+        else:
+            with self._lock:
+                self._launch(folder)
         self.shown = folder.id
         return folder.id
 
     def resume(self, run_id: str, further: int | None = None) -> None:
-        """Start a trainer that goes on from the newest checkpoint; ValueError if one is at work or nothing is left."""
+        """Start a trainer that goes on from the newest checkpoint; ValueError if one is at work or nothing is left.
+
+        A run that came from Slurm's queue goes back into it: no trainer of it starts on this machine.
+        """
         if further is not None:
             further = limits.iterations(further, "further")
         with self._lock:
@@ -140,23 +174,58 @@ class Runs:
             status, _ = self.status(history)
             if self._inquest.is_alive(history):
                 raise ValueError(f"{run_id} has a trainer already and is {status}; send it the command resume instead")
+            if status == "queued" and slurm_launch(history.folder):
+                raise ValueError(f"{run_id} is in Slurm's queue already: {self.status(history)[1]}")
             if status == "finished" and further is None:
                 raise ValueError(f"{run_id} has finished: say how many iterations it shall do further")
-            self._launch(history.folder, further)
+            queued = slurm_launch(history.folder)
+            if not queued:
+                self._launch(history.folder, further)
+        if queued:
+            until = history.iteration + further if further is not None else None
+            self._slurm.resume(self.folder, run_id, until=until)
         self.shown = run_id
 
     def send(self, run_id: str, command: AnyCommand) -> int:
-        """Put a command into the run's inbox and return its id; ValueError, the run unchanged, if it is no good."""
+        """Put a command into the run's inbox and return its id; ValueError, the run unchanged, if it is no good.
+
+        Stop takes a run that waits out of Slurm's queue, which no trainer acknowledges: then the id is 0.
+        """
         history = self.get(run_id)
         task = make_task(history.record.task, history.record.task_options)
         command = check_command(command, history.in_force, task)
         with self._lock:
-            if not self._inquest.is_alive(history):
-                raise ValueError(f"{run_id} is {self.status(history)[0]}: resume it, then send commands")
+            alive, (status, _) = self._inquest.is_alive(history), self.status(history)
+        if not alive:
+            if status != "queued":
+                raise ValueError(f"{run_id} is {status}: resume it, then send commands")
+            if not isinstance(command, Stop) or not slurm_launch(history.folder):
+                raise ValueError(f"{run_id} waits in the queue: send commands once it has begun")
+            self._slurm.cancel(self.folder, [run_id])
+            return 0
         return history.folder.send(command)
 
     def _launch(self, folder: RunFolder, further: int | None = None) -> None:
         self._inquest.begin(folder, lambda: self._spawn(folder, further=further))
+
+    def _in_queue(self, folder: RunFolder, status: Status, reason: str) -> tuple[Status, str]:
+        """Return what a run does and why, with what Slurm says of it where its folder can't tell."""
+        launch = slurm_launch(folder) if status in _TOLD_BY_SLURM else None
+        if launch is None:
+            return status, reason
+        place = self._slurm.states(self.folder, [folder.id], patient=False).get(folder.id)
+        if place is None:
+            waiting = f"in Slurm's queue as job {launch.job}; {self._slurm.trouble or 'Slurm has not been asked yet'}"
+            return status, waiting if status == "queued" else reason
+        if place.where:
+            if status == "lost":
+                return "running", f"it runs on {place.where}, but its heartbeat does not reach this machine"
+            return ("starting", f"on {place.where}") if status == "queued" else (status, reason)
+        if not place.given_up:
+            return "queued", place.why
+        if status == "queued":
+            return ("stopped" if (folder.path / CANCELLED).exists() else "failed"), place.why
+        return status, f"{reason} ({place.why})" if status == "lost" and place.why else reason
 
     # --- opening ---
 

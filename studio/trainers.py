@@ -74,22 +74,25 @@ class Reserve:
                 self._ready.wait()
 
 
-def _popen(
-    words: list[str], *, stdin: int, output: int | IO[bytes], cwd: Path | None, held: Sequence[int] = ()
-) -> subprocess.Popen[bytes]:
+def trainer_command(*words: str) -> list[str]:
+    """Return the command of a trainer with these words after it."""
+    # -P: code that lies in a run folder from elsewhere must not be imported.
+    return [sys.executable, "-P", "-m", "morph_core.train", *words]
+
+
+def trainer_environment() -> dict[str, str]:
+    """Return the environment of a trainer: one thread, this code, and no token."""
     code = str(Path(morph_core.__file__).resolve().parents[1])
     environment = {name: value for name, value in os.environ.items() if name != "MORPH_TOKEN"}
     environment |= {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
     environment["PYTHONPATH"] = os.pathsep.join(p for p in (code, environment.get("PYTHONPATH")) if p)
-    # -P: code that lies in a run folder from elsewhere must not be imported.
-    command = [sys.executable, "-P", "-m", "morph_core.train", *words]
+    return environment
+
+
+def _popen(
+    words: list[str], *, stdin: int, output: int | IO[bytes], cwd: Path | None, held: Sequence[int] = ()
+) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        command,
-        stdin=stdin,
-        stdout=output,
-        stderr=output,
-        cwd=cwd,
-        env=environment,
-        start_new_session=True,
-        pass_fds=held,
-    )
+        trainer_command(*words), stdin=stdin, stdout=output, stderr=output, cwd=cwd, env=trainer_environment(),
+        start_new_session=True, pass_fds=held,
+    )  # fmt: skip

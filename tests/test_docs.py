@@ -33,7 +33,7 @@ COMMANDS = [
 
 def test_the_readme_shows_every_command() -> None:
     shown = {shlex.split(command)[1] for command in COMMANDS}
-    assert shown == {"serve", "train", "runs", "evaluate", "export", "verify", "import"}
+    assert shown == {"serve", "train", "study", "runs", "evaluate", "export", "verify", "import"}
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -80,7 +80,9 @@ def test_every_folder_that_the_readme_names_exists(folder: str) -> None:
     assert (ROOT / folder).is_dir()
 
 
-@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/hands.md", "docs/decisions.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/hands.md", "docs/cluster.md", "docs/decisions.md"]
+)
 def test_every_file_that_is_linked_exists(page: str) -> None:
     linked = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text())
     assert [path for path in linked if not (ROOT / page).parent.joinpath(path).is_file()] == []

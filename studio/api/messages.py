@@ -87,7 +87,10 @@ class TaskList(msgspec.Struct, frozen=True):
 
 
 class Accepted(msgspec.Struct, frozen=True):
-    """Answer to a command: the number under which it will be acknowledged as an event."""
+    """Answer to a command: the number under which it will be acknowledged as an event.
+
+    It is 0 for a stop that took a run out of a cluster's queue, which no trainer acknowledges.
+    """
 
     id: int
 

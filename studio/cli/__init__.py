@@ -1,4 +1,4 @@
-"""The command line `morph-studio`: serve, train, runs, evaluate, export, verify, import."""
+"""The command line `morph-studio`: serve, train, study, runs, evaluate, export, verify, import."""
 
 import importlib
 import os
@@ -10,6 +10,7 @@ from studio.cli.arguments import UsageError
 COMMANDS = {
     "serve": "open the studio in the browser",
     "train": "co-optimise body and controller without a browser, or go on with a run",
+    "study": "compare methods over tasks and seeds at equal environment steps",
     "runs": "list the runs of a folder",
     "evaluate": "measure success and return of a design on Hw-Phy",
     "export": "write a design for simulators, printers and people",

@@ -36,7 +36,7 @@ class Outcome:
 def follow(folder: RunFolder, spawn: Callable[[], subprocess.Popen[bytes]], *, quiet: bool) -> Outcome:
     """Start a trainer and show it until it ends. The first Ctrl-C stops it after the iteration, the second kills it."""
     console = Console(stderr=True, soft_wrap=True)
-    with _interrupts() as presses:
+    with interrupts() as presses:
         child = start_child(folder, spawn)
         show = Bar if console.is_terminal else Lines
         with show(console, quiet) as view:
@@ -67,7 +67,7 @@ def _wait(child: Child, presses: list[int], view: "Bar | Lines") -> None:
 
 
 @contextlib.contextmanager
-def _interrupts() -> Iterator[list[int]]:
+def interrupts() -> Iterator[list[int]]:
     """Collect Ctrl-C and SIGTERM in a list instead of being ended by them."""
     presses: list[int] = []
 

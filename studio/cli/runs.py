@@ -36,6 +36,7 @@ def main(words: Sequence[str]) -> int:
 def list_runs(folder: Path) -> list[dict[str, object]]:
     """Return one entry per run: what the API says about it, and its best evaluation."""
     runs = Runs(folder)
+    runs.ask_slurm()
     lines = []
     for summary in runs.summaries():
         line = msgspec.to_builtins(summary)

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from studio.cli.arguments import RunsArguments, UsageError, parse
 from studio.settings import Settings, default_port
+from studio.study.launchers import make_launcher
+from studio.study.slurm import Slurm, SlurmOptions
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,10 @@ class ServeArguments(RunsArguments):
     """Token that browsers and API clients must know; without it, MORPH_TOKEN from the environment."""
     no_browser: bool = False
     """Print the address of the studio without opening it in a browser."""
+    launcher: Literal["local", "slurm"] = "local"
+    """Where the trainers of new runs start: on this machine, or on a cluster through Slurm."""
+    slurm: tyro.conf.OmitArgPrefixes[SlurmOptions] = SlurmOptions()
+    """Options of --launcher slurm."""
 
 
 def main(words: Sequence[str]) -> int:
@@ -36,11 +42,12 @@ def main(words: Sequence[str]) -> int:
             open_browser=not arguments.no_browser,
             **given,
         )
+        launcher = make_launcher(arguments.launcher, options=arguments.slurm)
     except UsageError:
         raise
     except ValueError as error:  # of the settings, or of the environment
         raise UsageError(f"serve: {error}") from error
     from studio.app import serve
 
-    serve(settings)
+    serve(settings, launcher if isinstance(launcher, Slurm) else None)
     return 0

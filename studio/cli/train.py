@@ -13,12 +13,14 @@ import tyro
 from morph_core.catalogue import make_task, read_method
 from morph_core.config import paths_of
 from morph_core.history import History
-from morph_core.run_folder import RunFolder, process_alive
+from morph_core.run_folder import LAUNCH, RunFolder, process_alive
+from studio import limits
 from studio.cli.arguments import RunsArguments, UsageError, value_after
 from studio.cli.choice import open_run
 from studio.cli.follow import Outcome, follow
 from studio.cli.wanted import Wanted, parse_wanted
 from studio.new_run import prepare_run
+from studio.study.slurm import Slurm, slurm_launch
 from studio.trainers import spawn_trainer
 
 DEFAULT_ITERATIONS = 100
@@ -36,7 +38,10 @@ class TrainArguments(RunsArguments):
     task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")] = ""
     """Task to train on; with --resume it may be left out."""
     iterations: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Iterations of a new run (100 by default); with --resume, those after the last recorded one, or as planned."""
+    """Iterations of a new run, by default 100, or as many as the budget holds; with --resume, those after the last
+    recorded one, or as planned."""
+    env_steps: Annotated[float | None, tyro.conf.arg(metavar="N")] = None
+    """Budget of a new run: it ends after the iteration that reaches N environment steps, or after --iterations."""
     resume: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
     """Run to go on with from its newest checkpoint: its name, or the path of its folder."""
     json: bool = False
@@ -49,7 +54,11 @@ def main(words: Sequence[str]) -> int:
     asked = wanted.arguments
     if asked.iterations is not None and asked.iterations < 1:
         raise UsageError(f"train: --iterations must be at least 1, not {asked.iterations}")
+    if asked.resume is not None and asked.env_steps is not None:
+        raise UsageError("train: a run keeps the budget it was started with: leave out --env-steps")
     folder, further = _resumed(wanted) if asked.resume is not None else (_prepared(wanted), None)
+    if slurm_launch(folder):
+        return _requeue(folder, further, quiet=asked.json)
     outcome = follow(folder, lambda: spawn_trainer(folder, further=further), quiet=asked.json)
     if asked.json:
         json.dump(_document(History(folder), outcome), sys.stdout, indent=2)
@@ -77,12 +86,15 @@ def _asked(words: Sequence[str]) -> Wanted:
 def _prepared(wanted: Wanted) -> RunFolder:
     asked = wanted.arguments
     try:
+        budget = None if asked.env_steps is None else limits.env_steps(asked.env_steps)
+        longest = DEFAULT_ITERATIONS if budget is None else limits.iterations_within(budget, 1)
         return prepare_run(
             asked.runs,
             task=asked.task,
             method=asked.method,
             seed=asked.seed,
-            iterations=DEFAULT_ITERATIONS if asked.iterations is None else asked.iterations,
+            iterations=longest if asked.iterations is None else asked.iterations,
+            env_steps=budget,
             settings=wanted.settings,
             task_options=wanted.task_options,
         )
@@ -106,11 +118,32 @@ def _resumed(wanted: Wanted) -> tuple[RunFolder, int | None]:
         raise UsageError(f"{folder.id} keeps what it was started with: leave out {names}, or start a new run")
     if _trainer_at_work(folder):
         raise UsageError(f"{folder.id} is {history.status}: its trainer is at work; watch it with morph-studio serve")
-    if asked.iterations is None and history.iteration >= record.iterations:
-        raise UsageError(
-            f"all {history.iteration} iterations of {folder.id} are done: give --iterations M for M further ones"
-        )
+    if asked.iterations is None and (history.status == "finished" or history.iteration >= record.iterations):
+        done = f"{folder.id} is done after {history.iteration} iterations"
+        raise UsageError(f"{done}: give --iterations M for M further ones")
     return folder, asked.iterations
+
+
+def _requeue(folder: RunFolder, further: int | None, quiet: bool) -> int:
+    """Put a run back into Slurm's queue, from which it came: a login node is no place for its trainer."""
+    history = History(folder)
+    until = history.iteration + further if further is not None else None
+    slurm = Slurm()
+    try:
+        slurm.resume(folder.path.parent, folder.id, until=until)
+        [place] = slurm.states(folder.path.parent, [folder.id]).values()
+    except ValueError as error:
+        raise UsageError(
+            f"{folder.id} came from Slurm's queue, to which it can't go back: {error}; to go on on this machine "
+            f"instead, remove {folder.path / LAUNCH}"
+        ) from error
+    if quiet:
+        json.dump(_document(history, Outcome(0, "queued", place.where or place.why)), sys.stdout, indent=2)
+        sys.stdout.write("\n")
+    else:
+        at = f"at work on {place.where}" if place.where else f"queued: {place.why}"
+        print(f"{folder.id} is {at}; morph-studio runs shows how it does", file=sys.stderr)  # noqa: T201
+    return 0
 
 
 def _trainer_at_work(folder: RunFolder) -> bool:

@@ -147,7 +147,7 @@ dismiss.addEventListener("click", () => {
 function sayRun(run) {
   const reason = run?.reason ? `: ${run.reason}` : "";
   if (run && ["failed", "lost", "unreadable"].includes(run.status)) say(`${run.status}${reason}  (${run.id})`, "run");
-  else if (run?.status === "paused" && run.reason) say(`paused${reason}`, "note");
+  else if (run?.status === "paused" && run.stage !== "paused") say(`paused${reason}`, "note");
   else say("", "run");
 }
 

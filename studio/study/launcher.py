@@ -29,6 +29,9 @@ class Launcher(ABC):
     stays: ClassVar[bool]
     """Whether the runs go on when the process that submitted them ends."""
 
+    slots: int
+    """Number of runs at a time."""
+
     def check(self) -> None:
         """Raise ValueError with the reason, and what to do, where this launcher can't be used. Nothing is written."""
         return
@@ -53,6 +56,10 @@ class Launcher(ABC):
     def requeue(self, directory: Path, runs: Sequence[str]) -> None:
         """Queue runs once more that were cancelled or given up."""
 
-    def leave(self, directory: Path) -> str:
-        """End what can't go on without this process, and return a sentence on what became of the runs."""
+    def leave(self, directory: Path, at_once: bool = False) -> str:
+        """Begin to end what can't go on without this process, and return a sentence on what becomes of the runs."""
         return "the runs go on without this process"
+
+    def working(self, directory: Path) -> int:
+        """Return how many trainers can't go on without this process."""
+        return 0

@@ -1,15 +1,16 @@
 """The plan of a study: which tasks, which methods with which settings, which seeds; written once as study.json."""
 
-import json
+import contextlib
 import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 
 from morph_core import durable
 from morph_core.catalogue import METHODS, TASKS, make_method, make_task
+from morph_core.presets import PRESETS
 from morph_core.protocol import RunRecord
 from morph_core.run_folder import STUDY, RunFolder, RunFolderError, create_run
 from studio import limits
@@ -40,7 +41,9 @@ class Variant(msgspec.Struct, frozen=True):
     label: str
     method: str
     settings: dict[str, object] = {}
-    """Settings under dotted names, beside what was found to work for the task."""
+    """Settings under dotted names, beside those of the preset and what was found to work for the task."""
+    preset: str | None = None
+    """Preset that the method's settings begin with; None for none."""
 
 
 class PlannedRun(msgspec.Struct, frozen=True):
@@ -91,7 +94,10 @@ def parse_task(word: str) -> PlannedTask:
 
 
 def parse_variant(word: str) -> Variant:
-    """Return the variant of METHOD,setting=value,... with LABEL: before it or not; ValueError says what is allowed."""
+    """Return the variant of METHOD,setting=value,... or PRESET,setting=value,... with LABEL: before it or not.
+
+    Raise ValueError that says what is allowed.
+    """
     label, colon, rest = word.partition(":")
     if not colon or "," in label or "=" in label:
         label, rest = word, word
@@ -99,8 +105,12 @@ def parse_variant(word: str) -> Variant:
     if not re.search(r"\w", label) or not label.isprintable() or len(label) > 200:
         raise StudyError(f'a label needs a letter or a digit, and at most 200 characters, not "{label[:40]}"')
     name, settings = _settings_of(rest)
+    if name in PRESETS:
+        return Variant(label, PRESETS[name].method, settings, name)
     if name not in METHODS:
-        raise StudyError(f'unknown method "{name[:40]}"; choose from: {", ".join(METHODS)}')
+        raise StudyError(
+            f'unknown method "{name[:40]}"; choose from: {", ".join(METHODS)}, or a preset: {", ".join(PRESETS)}'
+        )
     return Variant(label, name, settings)
 
 
@@ -140,11 +150,12 @@ def _settings_of(word: str) -> tuple[str, dict[str, object]]:
 
 def _value(word: str) -> object:
     """Return a number or true or false as such, anything else as the word that it is."""
-    try:
-        value = json.loads(word)
-    except json.JSONDecodeError:
-        return word
-    return value if isinstance(value, bool | int | float) else word
+    if word in ("true", "false"):
+        return word == "true"
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(word)
+    return word
 
 
 def plan_study(
@@ -287,13 +298,18 @@ def _in_words(value: object) -> str:
     words = []
     for one in value:
         match one:
-            case PlannedTask(name=name, options=settings) | Variant(label=name, settings=settings):
-                method = f"{one.method}," if isinstance(one, Variant) and one.method != name else ""
-                inside = method + ",".join(f"{path}={setting}" for path, setting in settings.items())
-                words.append(f"{name} ({inside.rstrip(',')})" if inside else name)
+            case PlannedTask(name=name, options=settings):
+                words.append(_word(name, settings))
+            case Variant(label=label, method=method, settings=settings, preset=preset):
+                word = _word(preset or method, settings)
+                words.append(word if word == label else f"{label}:{word}")
             case _:
                 words.append(str(one))
     return ", ".join(words) if len(words) <= 12 else f"{', '.join(words[:10])}, ... {words[-1]} ({len(words)})"
+
+
+def _word(name: str, settings: Mapping[str, object]) -> str:
+    return ",".join([name, *(f"{path}={value}" for path, value in settings.items())])
 
 
 def _records(study: Study, here: Machine) -> Iterator[RunRecord]:
@@ -306,7 +322,7 @@ def _records(study: Study, here: Machine) -> Iterator[RunRecord]:
 def _record(study: Study, planned: PlannedRun, task: PlannedTask, variant: Variant, here: Machine) -> RunRecord:
     try:
         made = make_task(task.name, task.options)
-        method = make_method(variant.method, made, variant.settings)
+        method = make_method(variant.method, made, variant.settings, variant.preset)
     except (ValueError, TypeError, OverflowError) as error:
         raise StudyError(f"{variant.label} on {task.name}: {error}") from error
     longest = method.trajectories * made.horizon
@@ -319,6 +335,7 @@ def _record(study: Study, planned: PlannedRun, task: PlannedTask, variant: Varia
         task=task.name,
         task_options=task.options,
         method=variant.method,
+        preset=variant.preset,
         settings=variant.settings,
         seed=planned.seed,
         iterations=limits.iterations_within(study.env_steps, method.trajectories),

@@ -119,6 +119,8 @@ class RunPanel:
         lines = [f"{wording.badge(status)} {wording.text(stage)}"]
         if message and status not in ("failed", "lost", "unreadable"):
             lines.append(wording.text(message))
+        if history.other_processor:
+            lines.append(f'<span style="color:{wording.AMBER}">{wording.text(history.other_processor)}</span>')
         of = f" of {'about ' * (history.record.env_steps is not None)}{planned}" if planned else ""
         lines.append(f"iteration <b>{history.iteration}</b>{of}{eta}")
         return wording.paragraph("<br>".join(lines))
@@ -141,7 +143,7 @@ class RunPanel:
         self.pause.visible = status not in ("paused", *NOT_LIVE)
         self.pause.disabled = status == "pausing"
         self.resume.visible = status in ("paused", "pausing", *RESUMABLE)
-        self.more.visible = live
+        self.more.visible = live or status == "queued"
 
 
 def _of_hw_phy(history: History) -> list[tuple[str, str]]:

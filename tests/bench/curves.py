@@ -1,10 +1,10 @@
-"""Draw what `study.py --out` wrote: `python tests/bench/curves.py --out docs/hands.svg pen=pen_morph.jsonl,...`.
+"""Draw learning curves of studies: `python tests/bench/curves.py --out docs/hands.svg Pen=DIR,DIR Mouse=DIR`.
 
-One panel for each name before a `=`; success of the sampled policy on Hw-Phy with the present phi over the steps of the
-simulation, relabelling counted: a line per seed, and a thick one for their median while all of them run.
+One panel for each name before a `=`, from the folders of studies of one task; success of the sampled policy on Hw-Phy
+with the present phi over the steps of the simulation, relabelling and search counted: a line per seed, and a thick one
+for their median while all of them run.
 """
 
-import json
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,10 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import tyro
+
+from morph_core.history import History
+from morph_core.run_folder import RunFolder
+from studio.study.plan import read_study
 
 mpl.use("svg")
 import matplotlib.pyplot as plt
@@ -25,33 +29,47 @@ class Curves:
     """What to draw."""
 
     panels: tyro.conf.Positional[tuple[str, ...]]
-    """TITLE=FILE,FILE,... with the rows of one or more methods."""
+    """TITLE=DIR,DIR,... with the folders of one or more studies."""
     out: Path = Path("curves.svg")
 
 
-def draw(axes: Any, title: str, rows: list[dict[str, Any]]) -> None:
-    by_method: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for row in rows:
-        by_method[row["method"]].append(row)
-    for method, some in by_method.items():
+def curve(history: History) -> np.ndarray:
+    """Return (n, 2): million steps of the simulation, and success in percent, at each evaluation."""
+    steps = {p.iteration: p.env_steps + p.relabelled_steps + p.search_steps for p in history.progress}
+    evaluations = [e for e in history.evaluations if not e.final]
+    return np.array([(steps[e.iteration] / 1e6, 100 * e.sampled_success) for e in evaluations])
+
+
+def draw(axes: Any, title: str, curves: dict[str, list[np.ndarray]]) -> None:
+    for method, some in curves.items():
         colour = COLOURS.get(method, "black")
-        curves = [np.array(row["curve"])[:, [0, 2]] * [1e-6, 100] for row in some]
-        for curve in curves:
-            axes.plot(*curve.T, color=colour, alpha=0.35, linewidth=0.8)
-        grid = np.linspace(max(c[0, 0] for c in curves), min(c[-1, 0] for c in curves), 200)
-        median = np.median([np.interp(grid, *curve.T) for curve in curves], axis=0)
+        for one in some:
+            axes.plot(*one.T, color=colour, alpha=0.35, linewidth=0.8)
+        grid = np.linspace(max(c[0, 0] for c in some), min(c[-1, 0] for c in some), 200)
+        median = np.median([np.interp(grid, *one.T) for one in some], axis=0)
         axes.plot(grid, median, color=colour, linewidth=2.2, label=f"{method}, {len(some)} seeds")
     axes.set(title=title, xlabel="steps of the simulation [million]", ylabel="episodes held [%]", ylim=(-2, 102))
     axes.grid(alpha=0.25)
     axes.legend(edgecolor="none", framealpha=0.85, loc="lower right", bbox_to_anchor=(1.0, 0.04), fontsize=8)
 
 
+def read(folders: str) -> dict[str, list[np.ndarray]]:
+    """Return the curves of all runs of some studies that have been evaluated, by the label of their method."""
+    curves: dict[str, list[np.ndarray]] = defaultdict(list)
+    for directory in map(Path, folders.split(",")):
+        for planned in read_study(directory).runs:
+            history = History(RunFolder(directory / planned.run))
+            if history.evaluations:
+                curves[planned.variant].append(curve(history))
+    return curves
+
+
 def main(options: Curves) -> None:
     plt.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "morph", "font.size": 9, "figure.facecolor": "white"})
     _, panels = plt.subplots(1, len(options.panels), figsize=(3.6 * len(options.panels), 3.2), squeeze=False)
     for axes, panel in zip(panels[0], options.panels, strict=True):
-        title, files = panel.split("=", 1)
-        draw(axes, title, [json.loads(row) for name in files.split(",") for row in Path(name).read_text().splitlines()])
+        title, folders = panel.split("=", 1)
+        draw(axes, title, read(folders))
     plt.tight_layout()
     plt.savefig(options.out, metadata={"Date": None})
 

@@ -1,7 +1,7 @@
 """What share of the reacher's box can pass the tunnel at all: a lower bound by searching with trained policies.
 
 Designs are drawn uniformly from the box and each is tried by several policies, many sampled episodes each: those of
-the given checkpoints (what `study.py --checkpoints` wrote), and one that is trained here on the box itself, a new
+the newest checkpoints of the given runs, and one that is trained here on the box itself, a new
 design every episode. A design that touches the goal once is feasible; one that never does is only not shown to be.
 """
 

@@ -1,6 +1,6 @@
 """How honest the reacher's sweep is: re-sweep what trained policies executed, ten times finer.
 
-`python tests/bench/resweep.py CHECKPOINTS...` with the folders that `study.py --checkpoints` wrote.
+`python tests/bench/resweep.py RUNS...` with the run folders of a study of the reacher.
 """
 
 import sys

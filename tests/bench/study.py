@@ -104,7 +104,7 @@ def run_one(study: Study, settings: dict[str, Any], options: dict[str, Any], see
     control_start = 0
     for progress in method.iterations(task, state):
         history.append(progress)
-        taken = state.env_steps + simulated * state.relabelled_steps
+        taken = state.env_steps + simulated * (state.relabelled_steps + state.search_steps)
         row.restarts += state.control_start != control_start
         control_start = state.control_start
         if progress.iteration % method.evaluation.interval == 0:

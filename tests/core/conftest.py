@@ -15,6 +15,8 @@ from morph_core.methods.cmaes_rl import CmaesRl
 from morph_core.methods.direct import Direct
 from morph_core.methods.no_hw_opt import NoHwOpt
 from morph_core.methods.proxy import Morph
+from morph_core.methods.transform2act import Transform2Act
+from morph_core.methods.value_gradient import ValueGradient
 from morph_core.parts import Evaluation, Ppo, ProxyFit, Schedule
 from morph_core.protocol import FORMAT, RunRecord
 from morph_core.run_folder import RunFolder, create_run
@@ -34,7 +36,14 @@ _NO_HW_OPT = NoHwOpt(
 SMALL = Morph(**vars(_NO_HW_OPT), proxy=ProxyFit(prefit=20), search=Cma(pairs=32, generations=3))
 _SMALL: Mapping[str, Method] = {
     method.name: method
-    for method in (SMALL, CmaesRl(**vars(_NO_HW_OPT), candidate_iterations=2), Direct(**vars(_NO_HW_OPT)), _NO_HW_OPT)
+    for method in (
+        SMALL,
+        CmaesRl(**vars(_NO_HW_OPT), candidate_iterations=2),
+        Direct(**vars(_NO_HW_OPT)),
+        _NO_HW_OPT,
+        Transform2Act(**vars(_NO_HW_OPT)),
+        ValueGradient(**vars(_NO_HW_OPT)),
+    )
 }
 
 
@@ -66,11 +75,13 @@ class Fragile(Reacher):
         return dataclasses.replace(step, z=z, diverged=broken, terminated=step.terminated & ~broken)
 
 
-def make_run(runs: Path, name: str = "run", method: Method = SMALL, seed: int = 0, iterations: int = 6) -> RunFolder:
+def make_run(
+    runs: Path, name: str = "run", method: Method = SMALL, seed: int = 0, iterations: int = 6, **ends: int
+) -> RunFolder:
     """Return a fresh run folder of the reacher."""
     record = RunRecord(
         format=FORMAT, id=name, task="reacher", method=method.name, seed=seed, iterations=iterations,
         config=recorded(method), parameters=list(make_task("reacher").design_space.parameters), versions={},
-        created=time.time(),
+        created=time.time(), **ends,
     )  # fmt: skip
     return create_run(runs, record)

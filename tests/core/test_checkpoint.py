@@ -1,6 +1,7 @@
 """Checkpoints: whole or not at all, and never a surprise on load."""
 
 import itertools
+import os
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 
 from morph_core.catalogue import make_task
 from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
-from morph_core.run_folder import RunFolder, RunFolderError
+from morph_core.run_folder import HeartbeatFile, RunFolder, RunFolderError
 from morph_core.state import State, start
 from tests.core.conftest import SMALL, make_run, small_method
 
@@ -113,6 +114,20 @@ def test_a_damaged_checkpoint_is_an_error_and_an_older_one_stands_in(
     newest = load_newest(folder, TASK, SMALL)
     assert newest is not None
     assert newest[0].iteration == 1
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o002, 0o664), (0o022, 0o644), (0o077, 0o600)])
+def test_a_group_can_go_on_with_a_run_if_its_umask_says_so(tmp_path: Path, umask: int, mode: int) -> None:
+    before = os.umask(umask)
+    try:
+        folder = make_run(tmp_path)
+        save_checkpoint(folder, start(TASK, SMALL, 0), 1.5)
+        HeartbeatFile(folder).close()
+    finally:
+        os.umask(before)
+    written = [*folder.checkpoint(0).iterdir(), folder.path / "heartbeat.json"]
+    assert {path.stat().st_mode & 0o777 for path in written} == {mode}
+    assert len(written) == 3
 
 
 def test_a_run_without_checkpoints_has_no_newest(tmp_path: Path) -> None:

@@ -199,3 +199,28 @@ def test_a_record_without_a_number_to_steer_by_steers_nothing(tmp_path: Path, wr
     path.write_text(path.read_text().replace('"alpha": 1.0', written))
     assert History(folder).in_force.alpha == 0.0
     assert np.array_equal(History(folder).in_force.phi, SPACE.initial)
+
+
+@pytest.mark.parametrize(
+    ("starts", "said"),
+    [
+        ([("EPYC 1", "AVX2"), ("EPYC 1", "AVX2")], ""),
+        ([("", ""), ("EPYC 1", "AVX2")], ""),  # begun by a version that did not record it
+        (
+            [("EPYC 1", "AVX2"), ("Xeon 5", "AVX512")],
+            "begun on EPYC 1, AVX2, went on from iteration 1 on Xeon 5, AVX512",
+        ),
+        ([("EPYC 1", "AVX2"), ("EPYC 1", "DEFAULT")], "begun on EPYC 1, AVX2, went on from iteration 1 on EPYC 1, DEF"),
+        ([("A", "AVX2"), ("B", "AVX2"), ("B", "AVX2")], "begun on A, AVX2, went on from iteration 1 on B, AVX2"),
+    ],
+)
+def test_another_kind_of_processor_is_warned_about(tmp_path: Path, starts: list[tuple[str, str]], said: str) -> None:
+    history = write(
+        make_run(tmp_path),
+        *(
+            StateChanged(status="starting", iteration=i, processor=processor, instruction_set=instructions)
+            for i, (processor, instructions) in enumerate(starts)
+        ),
+    )
+    assert history.other_processor.startswith(said)
+    assert bool(history.other_processor) is bool(said)

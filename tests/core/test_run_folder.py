@@ -1,11 +1,14 @@
 """The run folder: one writer, torn lines, an inbox, truth about who is alive."""
 
+import errno
+import fcntl
 import os
 import platform
 import resource
 import signal
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -18,8 +21,10 @@ from morph_core import protocol
 from morph_core.history import History
 from morph_core.protocol import Heartbeat, Progress, StateChanged
 from morph_core.run_folder import (
+    LOST_AFTER,
     EventLog,
     HeartbeatFile,
+    HeldError,
     RunFolderError,
     create_run,
     find_run,
@@ -122,10 +127,36 @@ def test_rubbish_in_the_inbox_is_no_order(tmp_path: Path) -> None:
 
 def test_a_folder_has_one_holder(tmp_path: Path) -> None:
     folder = make_run(tmp_path)
-    with hold(folder), pytest.raises(RunFolderError, match=f"held by another trainer .pid {os.getpid()}"), hold(folder):
+    said = f"held by another trainer .{platform.node()} pid {os.getpid()}"
+    with hold(folder), pytest.raises(HeldError, match=said), hold(folder):
         pass
     with hold(folder):
         pass
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_folder_that_can_not_be_locked_is_not_called_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    said = f"can't be locked .{os.strerror(number)}.: put the runs on a file system with locks"
+    with pytest.raises(RunFolderError, match=said) as refused, hold(make_run(tmp_path)):
+        pass
+    assert not isinstance(refused.value, HeldError)
+
+
+def test_what_was_said_is_on_the_disk_after_a_sync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, synced = make_run(tmp_path), []
+    monkeypatch.setattr(os, "fsync", lambda number: synced.append(Path(f"/proc/self/fd/{number}").resolve().name))
+    log, file = EventLog(folder), HeartbeatFile(folder)
+    log.append(progress(1))
+    log.sync()
+    file.write(beat("running", 1, 0.0, 0.0))
+    file.sync()
+    assert synced == ["events.jsonl", "heartbeat.json"]
 
 
 def test_a_run_is_written_once(tmp_path: Path) -> None:
@@ -208,6 +239,46 @@ def test_a_heartbeat_longer_than_its_place_is_shortened_not_torn(tmp_path: Path)
     assert read.message.startswith('"ü')
 
 
+def test_a_heartbeat_from_elsewhere_lives_as_long_as_it_changes_for_its_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, clock = make_run(tmp_path), 100.0
+    monkeypatch.setattr("morph_core.history.time", SimpleNamespace(time=time.time, monotonic=lambda: clock))
+    EventLog(folder).append(StateChanged(status="running", iteration=0))
+    file, now = HeartbeatFile(folder), time.time()
+    file.write(beat("running", 7, now - 100, now, "cluster-node"))
+    history = History(folder)
+    for seen in (LOST_AFTER - 1, 2 * LOST_AFTER - 2):
+        clock = 100.0 + seen
+        assert history.status == "running"
+        file.write(beat("running", 7, now - 100, now + seen / 100, "cluster-node"))
+        history.poll()
+    clock += LOST_AFTER + 1
+    history.poll()
+    assert history.status == "lost"
+
+
+@pytest.mark.parametrize("said_by", ["study.json", "run/launch.json"])
+def test_a_run_that_something_will_start_is_queued_until_it_has_a_trainer(tmp_path: Path, said_by: str) -> None:
+    folder = make_run(tmp_path)
+    assert History(folder).status == "starting"
+    (tmp_path / said_by).touch()
+    history = History(folder)
+    assert (history.status, history.message) == ("queued", "no trainer has taken it up yet")
+    me = psutil.Process()
+    HeartbeatFile(folder).write(beat("starting", me.pid, me.create_time(), time.time()))
+    history.poll()
+    assert history.status == "starting"
+
+
+def test_the_report_of_a_study_is_no_run(tmp_path: Path) -> None:
+    make_run(tmp_path)
+    (tmp_path / "report").mkdir()
+    assert list_runs(tmp_path) == ["report", "run"]
+    (tmp_path / "study.json").touch()
+    assert list_runs(tmp_path) == ["run"]
+
+
 def test_running_lost_and_ended_are_told_apart(tmp_path: Path) -> None:
     folder = make_run(tmp_path)
     log, file = EventLog(folder), HeartbeatFile(folder)
@@ -220,7 +291,10 @@ def test_running_lost_and_ended_are_told_apart(tmp_path: Path) -> None:
     assert History(folder).status == "lost"  # no such process here
     file.write(beat("running", 2**22 + 1, now - 100, now, "cluster-node"))
     assert History(folder).status == "running"  # it moves
-    file.write(beat("running", 2**22 + 1, now - 100, now - 60, "cluster-node"))
+    for skew in (-50, 50):
+        file.write(beat("running", 2**22 + 1, now - 100, now + skew, "cluster-node"))
+        assert History(folder).status == "running"  # its clock is not ours
+    file.write(beat("running", 2**22 + 1, now - 1000, now - 300, "cluster-node"))
     assert History(folder).status == "lost"
     file.write(beat("running", me.pid, me.create_time() - 1000, now - 60))
     assert History(folder).status == "lost"  # the pid was reused

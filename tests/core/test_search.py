@@ -76,7 +76,7 @@ def derived(
         memory = StandIn(task.hw_phy(task.design_space.initial))
     state.memory = memory or state.memory
     cost = derive_design(task, state, data, search, Spread(sigma, 0.0))
-    return Found(state.phi, cost, state.relabelled_steps)
+    return Found(state.phi, cost, state.search_steps)
 
 
 def distance(task: Reacher, data: Dataset, phi: np.ndarray) -> float:
@@ -91,6 +91,12 @@ def test_the_design_behind_the_data_is_found(search: str, z: str) -> None:
     found = derived(task, dataset_of(task, true), THOROUGH[search])
     assert found.phi == pytest.approx(true, abs=0.05)
     assert found.cost < 0.01
+
+
+def test_the_gradient_search_counts_what_it_asks_of_the_physics() -> None:
+    task = Reacher()
+    found = derived(task, dataset_of(task, task.design_space.initial * 0.9, 32), Gradient(steps=5))
+    assert found.steps == (5 + 2) * 32  # a step each, and the divergence at the start and at the end
 
 
 @settings(max_examples=15)

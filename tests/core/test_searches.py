@@ -227,6 +227,24 @@ def test_two_halves_of_the_designs_are_multiplied_and_neither_with_itself() -> N
         assert found[1] == 2.0
 
 
+def test_every_group_of_pairs_is_tried_with_designs_of_its_own() -> None:
+    asked = problem(dataset_of([2.3, 1.6]), spread=Spread(0.5, 0.0), memory=Twin(proxy([[2.0, 0.0], [0.0, 2.0]])))
+    found = search(designs=4, groups=16, ridge=0.2).candidates(asked)[0]
+    asked_of = asked.physics.asked  # pyright: ignore[reportAttributeAccessIssue]
+    assert [designs.shape for designs in asked_of] == [(4, 2)] * 16
+    assert len(np.unique(np.concatenate(asked_of), axis=0)) == 16 * 4
+    assert asked.physics.steps == 4 * 64  # every pair is in one group
+    assert np.dot(found - START, [0.3, -0.4]) > 0
+
+
+@pytest.mark.parametrize("groups", [3, 64, 65])
+def test_however_the_pairs_are_split_phi_follows_the_drift(groups: int) -> None:
+    found, asked = drifted([0.3, -0.4], search(groups=groups))
+    assert np.allclose(found - START, [0.3, -0.4], rtol=0.01)
+    assert asked.physics.steps == 16 * 64
+    assert len(asked.physics.asked) == min(groups, 64)  # pyright: ignore[reportAttributeAccessIssue]
+
+
 def test_what_a_rough_hw_phy_adds_to_a_half_does_not_shorten_the_step() -> None:
     class Rough(Scales):
         def hw_phy(self, phi: np.ndarray) -> Any:
@@ -353,13 +371,13 @@ def forget() -> None:
 
 def test_of_what_a_search_proposes_the_design_of_least_divergence_is_taken() -> None:
     state = started()
-    state.relabelled_steps = 100
+    state.search_steps = 100
     cost = derive_design(
         Scales(), state, dataset_of([5.0, 6.0]), Fixed(proposed=([9, 9], [5, 5], [2, 2])), Spread(0.5, 0.0)
     )
     assert state.phi.tolist() == [5.0, 5.0]
     assert cost == pytest.approx(1.0)
-    assert state.relabelled_steps == 100 + 3 * 64
+    assert (state.search_steps, state.relabelled_steps) == (100 + 3 * 64, 0)
 
 
 def test_a_search_begins_inside_the_box_with_what_the_state_holds() -> None:

@@ -61,7 +61,7 @@ def test_the_reference_begins_as_the_proxys_twin() -> None:
     assert set(state.optimizers) == {"control", "proxy", "reference"}
 
 
-@pytest.mark.parametrize("method", ["cmaes_rl", "direct", "no_hw_opt"])
+@pytest.mark.parametrize("method", ["cmaes_rl", "direct", "no_hw_opt", "value_gradient"])
 def test_a_method_without_a_proxy_has_none(method: str) -> None:
     state = start(TASK, small_method(method), 0)
     assert set(state.modules) == {"policy", "critic"}
@@ -102,5 +102,6 @@ def test_the_start_is_the_initial_design_inside_the_given_space() -> None:
     space = TASK.design_space.with_bound("link_1", 0.5, 1.5).with_lock("link_2", 2.0)
     state = start(TASK, SMALL, 0, space)
     assert state.phi.tolist() == [1.5, 2.0, 3.0, 3.0, 3.0]
-    assert (state.iteration, state.env_steps, state.relabelled_steps, state.diverged) == (0, 0, 0, 0)
+    assert (state.iteration, state.env_steps, state.diverged) == (0, 0, 0)
+    assert (state.relabelled_steps, state.search_steps) == (0, 0)
     assert np.isfinite(state.alpha)

@@ -6,12 +6,14 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from morph_core import protocol
 from morph_core.catalogue import make_method, make_task
@@ -21,7 +23,7 @@ from morph_core.protocol import AnyCommand, AnyEvent, StateChanged
 from morph_core.run_folder import EventLog, RunFolder, read_episode
 from morph_core.searches.cma import Cma
 from morph_core.state import start
-from morph_core.train import Trainer, apply_edit
+from morph_core.train import Trainer, _keep_beating, apply_edit
 from tests.core.conftest import SMALL, make_run, small_method
 
 
@@ -63,11 +65,71 @@ def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path:
     search = SMALL.search
     assert isinstance(search, Cma)
     searched = search.pairs * (search.population * search.generations + 2)  # start and find, again
-    relabelled = [fitted + p.env_steps + p.iteration * searched for p in history.progress]
-    assert [p.relabelled_steps for p in history.progress] == relabelled
+    assert [p.relabelled_steps for p in history.progress] == [fitted + p.env_steps for p in history.progress]
+    assert [p.search_steps for p in history.progress] == [p.iteration * searched for p in history.progress]
     assert np.allclose(sum(episode[k] for k in episode if k.startswith("reward_terms/")), episode["reward"])
     assert episode["phi"].tolist() == history.phi.tolist()
     assert [e.seq for e in history.events] == list(range(1, len(history.events) + 1))
+
+
+def test_a_budget_ends_a_run_after_the_iteration_that_reaches_it(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=1000, env_steps=1500, final_episodes=10)
+    Trainer(folder).run()
+    history = History(folder)
+    *before, last = history.progress
+    assert before[-1].env_steps < 1500 <= last.env_steps
+    assert history.status == "finished"
+    assert history.message == f"the budget of 1500 environment steps is spent after iteration {last.iteration}"
+    assert history.planned_iterations == last.iteration
+    regular, final = history.evaluations[-2:]
+    assert (regular.iteration, regular.episodes, regular.final) == (last.iteration, 4, False)
+    assert (final.iteration, final.episodes, final.final, final.episode) == (last.iteration, 10, True, None)
+    assert folder.checkpoint_iterations()[-1] == last.iteration
+    assert [e.final for e in history.evaluations].count(True) == 1
+
+
+def test_a_run_without_a_budget_has_no_evaluation_at_its_end(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=2)
+    Trainer(folder).run()
+    assert [(e.iteration, e.final) for e in History(folder).evaluations] == [(2, False)]
+
+
+def test_what_the_end_of_a_run_misses_is_done_when_it_is_taken_up_again_and_nothing_twice(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=1000, env_steps=900, final_episodes=6)
+    Trainer(folder).run()
+    (whole,) = [e for e in History(folder).evaluations if e.final]
+    lines = folder.events.read_bytes().splitlines(keepends=True)
+    folder.events.write_bytes(b"".join(lines[:-2]))  # killed before the evaluation at the end
+    for _ in range(2):
+        Trainer(folder).run()
+        history = History(folder)
+        (again,) = [e for e in history.evaluations if e.final]
+        assert history.status == "finished"
+        assert (again.iteration, again.sampled_return, again.deterministic_return) == (
+            whole.iteration, whole.sampled_return, whole.deterministic_return
+        )  # fmt: skip
+
+
+def test_further_iterations_go_beyond_the_budget(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=1000, env_steps=900, final_episodes=6)
+    Trainer(folder).run()
+    done = History(folder).iteration
+    Trainer(folder, further=2).run()
+    history = History(folder)
+    assert history.iteration == done + 2
+    assert [e.iteration for e in history.evaluations if e.final] == [done, done + 2]
+
+
+def test_the_end_that_a_budget_sets_is_foreseen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = make_run(tmp_path, iterations=1000, env_steps=4000)
+    beats: list[protocol.Heartbeat] = []
+    monkeypatch.setattr("morph_core.train.HeartbeatFile.write", lambda _, beat: beats.append(beat))
+    Trainer(folder).run()
+    ended = History(folder).iteration
+    loaded = [beat for beat in beats if beat.stage != "loading"]
+    assert all(abs(beat.iterations - ended) <= 2 for beat in loaded)
+    assert loaded[-1].iterations == loaded[-1].iteration == ended
+    assert 0 < next(beat.eta_seconds for beat in reversed(beats) if beat.iteration == 2 and beat.eta_seconds) < 60
 
 
 def test_how_often_a_run_is_evaluated_does_not_change_what_is_learnt(tmp_path: Path) -> None:
@@ -159,6 +221,49 @@ def test_a_signal_stops_cleanly_and_leaves_a_resumable_run(tmp_path: Path) -> No
     assert folder.checkpoint_iterations()[-1] == history.iteration
 
 
+def test_the_warnings_of_a_cluster_do_not_end_a_trainer(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=10**6)
+    trainer = spawn(folder)
+    history = History(folder)
+    wait_for(history, lambda: history.iteration >= 1)
+    for number in (signal.SIGUSR1, signal.SIGUSR2):
+        trainer.send_signal(number)
+    reached = history.iteration
+    wait_for(history, lambda: history.iteration >= reached + 2)
+    assert history.status == "running"
+    trainer.terminate()
+    assert trainer.wait(30) == 0
+
+
+def test_the_processor_is_recorded_at_each_start(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=2)
+    train(folder)
+    plain = spawn(folder, "--further", "1", env={**os.environ, "ATEN_CPU_CAPABILITY": "default"})
+    plain.communicate(timeout=100)
+    history = History(folder)
+    first, second = (e for e in history.events if isinstance(e, StateChanged) and e.status == "starting")
+    assert first.processor == second.processor != ""
+    assert (first.instruction_set, second.instruction_set) == (torch.backends.cpu.get_cpu_capability(), "DEFAULT")
+    if first.instruction_set != "DEFAULT":
+        assert "went on from iteration 2 on" in history.other_processor
+
+
+def test_until_is_the_last_iteration_however_often_a_trainer_is_started(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=2)
+    for _ in range(2):
+        assert train(folder, "--until", "5").iteration == 5
+    wrong = spawn(folder, "--until", "0")
+    assert "--until must be at least 1" in wrong.communicate(timeout=60)[1]
+
+
+def test_what_a_trainer_says_reaches_the_disk_while_it_learns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer, ended, synced = Trainer(make_run(tmp_path)), threading.Event(), []
+    monkeypatch.setattr("morph_core.train.HEARTBEAT_SECONDS", 0.01)
+    monkeypatch.setattr(os, "fsync", lambda number: synced.append(number) or (len(synced) > 5 and ended.set()))
+    _keep_beating(trainer, ended)
+    assert len(set(synced)) == 2, "the events and the heartbeat"
+
+
 def test_a_second_trainer_on_one_folder_is_refused(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
     first = spawn(folder)
@@ -168,6 +273,9 @@ def test_a_second_trainer_on_one_folder_is_refused(tmp_path: Path) -> None:
     _, errors = second.communicate(timeout=60)
     assert second.returncode == 2
     assert "held by another trainer" in errors
+    nowhere = spawn(RunFolder(tmp_path))
+    nowhere.communicate(timeout=60)
+    assert nowhere.returncode == 1, "2 is for a run that will be free once its trainer has ended"
     first.terminate()
     assert first.wait(30) == 0
 
@@ -225,7 +333,7 @@ def test_further_goes_beyond_a_finished_run(tmp_path: Path) -> None:
     assert train(make_run(tmp_path, "whole", iterations=5)).phi.tolist() == History(folder).phi.tolist()
 
 
-@pytest.mark.parametrize("method", ["morph", "cmaes_rl", "direct", "no_hw_opt"])
+@pytest.mark.parametrize("method", ["morph", "cmaes_rl", "direct", "no_hw_opt", "transform2act", "value_gradient"])
 @pytest.mark.slow
 def test_killed_and_resumed_is_bitwise_the_run_that_was_not(tmp_path: Path, method: str) -> None:
     whole = train(make_run(tmp_path, "whole", small_method(method), seed=3, iterations=12))

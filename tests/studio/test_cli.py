@@ -111,18 +111,18 @@ def test_help_lists_the_commands_within_a_second() -> None:
     done = morph_studio("--help")
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines() if line.startswith("  ")] == [
-        "serve", "train", "runs", "evaluate", "export", "verify", "import",
+        "serve", "train", "study", "runs", "evaluate", "export", "verify", "import",
     ]  # fmt: skip
     after = os.times()
     assert after.children_user + after.children_system - before.children_user - before.children_system < 1.0
 
 
-@pytest.mark.parametrize("command", ["serve", "train", "runs", "evaluate", "export", "verify", "import"])
+@pytest.mark.parametrize("command", ["serve", "train", "study", "runs", "evaluate", "export", "verify", "import"])
 def test_every_command_explains_itself(command: str) -> None:
     done = morph_studio(command, "--help")
     assert done.returncode == 0
     assert f"usage: morph-studio {command}" in done.stdout
-    assert ("--runs DIR" in done.stdout) is (command != "verify")  # an export lies anywhere
+    assert ("--runs DIR" in done.stdout) is (command not in ("verify", "study"))  # an export lies anywhere
 
 
 def test_the_settings_of_run_and_task_are_flags_with_their_explanation() -> None:
@@ -140,7 +140,8 @@ def test_the_help_of_train_lists_the_tasks() -> None:
 def test_the_command_line_does_not_load_torch() -> None:
     code = (
         "import sys, studio.cli.train, studio.cli.evaluate, studio.cli.export, studio.cli.runs, studio.cli.serve;"
-        "import studio.cli.verify, studio.cli.import_design, studio.export.bundle; sys.exit('torch' in sys.modules)"
+        "import studio.cli.verify, studio.cli.study, studio.cli.import_design, studio.export.bundle;"
+        "sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=ENVIRONMENT, timeout=60).returncode == 0
 
@@ -148,8 +149,10 @@ def test_the_command_line_does_not_load_torch() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("brew", "choose from: serve, train, runs, evaluate, export, verify, import"),
+        ("brew", "choose from: serve, train, study, runs, evaluate, export, verify, import"),
         ("train", "choose from: reacher, pen_press, mouse_click"),
+        ("train reacher --env-steps 0", "env_steps must be a whole number from 1 to 1000000000000, not 0"),
+        ("train reacher --env-steps 0.5", "not 0.5"),
         ("train reech", 'unknown task "reech"; choose from: reacher, pen_press, mouse_click'),
         (
             "train reacher --search drift --search.sigma0 1",
@@ -157,10 +160,13 @@ def test_the_command_line_does_not_load_torch() -> None:
         ),
         ("train reacher extra", "too many words: extra"),
         ("train reacher --alhpa 1", "did you mean --alpha?"),
-        ("train reacher --alhpa 1", "choose from: --runs --iterations --resume"),
+        ("train reacher --alhpa 1", "choose from: --runs --iterations --env-steps --resume"),
+        (
+            "train reacher --method sgd",
+            "choose from: morph, cmaes_rl, direct, no_hw_opt, transform2act, value_gradient",
+        ),
         ("train reacher --preset letter", '--preset can\'t be "letter"; choose from: paper, studio'),
         ("train reacher --preset paper --method direct", "one of the method morph, not of direct"),
-        ("train reacher --method sgd", "choose from: morph, cmaes_rl, direct, no_hw_opt"),
         ("train reacher --projection both", "choose from: none, one_sided, as_printed"),
         ("train reacher --tunnel straight", "choose from: zigzag, paper"),
         ("train reacher --alpha nan", "alpha must be finite, not nan"),
@@ -341,7 +347,7 @@ def test_a_finished_run_wants_to_know_how_many_further_iterations(folder: RunFol
     log.close()
     done = morph_studio("train", "--resume", str(folder.path))
     assert done.returncode == 2
-    assert "all 5 iterations" in done.stderr
+    assert "is done after 5 iterations: give --iterations M for M further ones" in done.stderr
     assert "--iterations M" in done.stderr
 
 

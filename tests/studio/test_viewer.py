@@ -274,9 +274,19 @@ def test_buttons_follow_the_status(page: Page, folder: RunFolder) -> None:
         ("failed", False, True, False),
         ("lost", False, True, False),
         ("stopped", False, True, False),
+        ("queued", False, False, True),  # Stop takes it out of the queue
     ):
         page.show(folder, status)  # pyright: ignore[reportArgumentType]
         assert (run.pause.visible, run.resume.visible, run.more.visible) == (pause, resume, more), status
+
+
+def test_another_kind_of_processor_is_said_on_the_panel(page: Page, folder: RunFolder) -> None:
+    log = EventLog(folder)
+    for model in ("EPYC", "<Xeon>"):
+        assert "begun on" not in page.viewer.run.state.content
+        log.append(StateChanged(status="starting", iteration=3, processor=model, instruction_set="AVX2"))
+        page.show(folder, "running")
+    assert "begun on EPYC, AVX2, went on from iteration 3 on &lt;Xeon&gt;, AVX2" in page.viewer.run.state.content
 
 
 def test_resume_orders_a_waiting_trainer_and_restarts_a_gone_one(page: Page, folder: RunFolder) -> None:
