@@ -198,6 +198,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("np.concatenate([half, -half])", "np.concatenate([half, half])"),
         ("np.sqrt(1 - self.correlation) * noise", "(1 - self.correlation) * noise"),
         ("np.sqrt(self.correlation) * common", "self.correlation * common"),
+        ("self.correlation * (1 - np.eye(", "0 * (1 - np.eye("),
         ("self.sigma * space.scale * np", "self.sigma * np"),
         ("space.clip(state.phi + self.sigma", "(state.phi + self.sigma"),
         ("0.0 if frozen else sigma", "sigma"),
@@ -296,7 +297,6 @@ MUTANTS: tuple[Mutant, ...] = (
          "problem.physics.z(dataset.s[rows[:1]], dataset.a[rows[:1]], designs)"),
         ("Twin(copy.deepcopy(hw_nn))", "Twin(hw_nn)"),
     ),
-    *_of(f"{CORE}/spread.py", "core/test_searches.py", ("self.correlation * (1 - np.eye(", "0 * (1 - np.eye(")),
     *_of(
         f"{CORE}/twin.py", "core/test_searches.py",
         ("dataset.z - self.reference(", "dataset.z + self.reference("),
