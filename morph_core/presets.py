@@ -46,9 +46,8 @@ PRESETS: Mapping[str, Preset] = {
                 "exploration": "design",
                 # Contact's own variance would draw CMA-ES to a hand that touches nothing; docs/hands.md has the runs.
                 "search": "cma_debiased",
-                # A search takes as many steps as four iterations: more often, and the policy learns too little.
+                # K and kappa were chosen with it: a search costs as many steps as four iterations.
                 "design_interval": 4,
-                # CMA-ES needs a stronger pull than least squares do to see it through contact's noise.
                 "exploration.kappa": 3.0,
                 "freeze_success": 0.5,
                 "projection": "none",
