@@ -33,21 +33,27 @@ _.external_attr
 _.visual
 
 # Fields of messages and records: written here, read by a browser, another program or a person.
+_.caption
 _.commands_sha256
 _.cosine_negative
 _.design_sigma
 _.deterministic_return
+_.deterministic_solved_cpu_seconds
+_.deterministic_solved_steps
+_.end_is_final
 _.export_versions
 _.last_seq
 _.method_titles
 _.mime_type
 _.part_count
 _.part_index
+_.phi_moved
 _.policy_std
 _.size_bytes
 _.source_component_uuid
 _.submitted
 _.transfer_uuid
+_.writing
 
 # Options of Slurm, read by their name.
 _.account

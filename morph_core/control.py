@@ -46,9 +46,17 @@ class Control:
     def start_afresh(self, weights: torch.Generator) -> None:
         """Make policy, critic and optimiser as they are before anything is learnt."""
         self.policy = Policy(self._task, self._ppo, self._hidden, weights, self._sees_phi)
-        self.critic = Critic(self._task, self._hidden, weights, len(self._task.design_space) if self._sees_phi else 0)
-        parameters = [*self.policy.parameters(), *self.critic.parameters()]
+        self.critic = self._new_critic(weights)
+        parameters = [p for module in self.modules.values() for p in module.parameters()]
         self.optimizer = torch.optim.Adam(parameters, self._ppo.learning_rate, fused=True)
+
+    def _new_critic(self, weights: torch.Generator) -> Critic:
+        return Critic(self._task, self._hidden, weights, len(self._task.design_space) if self._sees_phi else 0)
+
+    @property
+    def modules(self) -> dict[str, nn.Module]:
+        """Return every network, by the name under which a checkpoint holds it."""
+        return {"policy": self.policy, "critic": self.critic}
 
     def set_learning_rate(self, age: int) -> None:
         """Anneal linearly over the schedule; `age` counts the iterations since policy and critic started afresh."""
@@ -89,6 +97,18 @@ class Control:
                 nn.utils.clip_grad_norm_(critic.parameters(), 2 * ppo.max_grad_norm)
                 self.optimizer.step()
         policy.limit_std(self._schedule.geometric(ppo.std, ppo.std_end, age))
+
+    def value_slope(self, observation: np.ndarray, designs: np.ndarray) -> np.ndarray:
+        """Return dV/dphi (d,), averaged over episodes on `designs` (N, d) at their start.
+
+        `observation` (N, o) is what the task shows of their start states. ValueError for a policy that does not see
+        phi.
+        """
+        seen = torch.from_numpy(self.policy.phi_seen(designs)).requires_grad_()
+        value = self.critic(torch.cat([torch.from_numpy(observation), seen], 1), torch.zeros(len(seen)))
+        (slopes,) = torch.autograd.grad(value.sum(), seen)
+        lo, hi = self._task.design_space.hard_box
+        return slopes.numpy().mean(0, dtype=float) * 2 / (hi - lo)
 
     def learn(self, state: "State", rollout: Rollout, iteration: int) -> np.ndarray:
         """Line 3 for theta: learn from a rollout, and start afresh after being stuck for too long.

@@ -60,6 +60,11 @@ class Exploration(Settings, ABC):
         """Raise ValueError with the reason where the task can't be explored so."""
         return
 
+    @property
+    def proxy_rests(self) -> bool:
+        """Return whether the proxy learns no more once phi is frozen."""
+        return False
+
     @abstractmethod
     def spread(self, schedule: Schedule, iteration: int, frozen: bool) -> Spread:
         """Return the distribution of designs around phi in an iteration, of which a search may draw, too."""

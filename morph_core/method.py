@@ -14,6 +14,9 @@ from morph_core.search import Memory
 from morph_core.task import Task
 
 if TYPE_CHECKING:
+    import torch
+
+    from morph_core.control import Control
     from morph_core.hw_nn import HwNN
     from morph_core.state import State
 
@@ -53,6 +56,12 @@ class Method(Settings, ABC):
     def steering(self) -> tuple[float, Projection]:
         """Return alpha and the projection rule with which a run starts; users may change both while it runs."""
         return 0.0, "none"
+
+    def control(self, task: Task, weights: "torch.Generator") -> "Control":
+        """Return policy and critic as they are before anything is learnt, initialised from `weights`."""
+        from morph_core.control import Control
+
+        return Control(task, self.ppo, self.schedule, self.hidden, weights, self.sees_phi)
 
     def memory(self, proxy: "HwNN | None") -> Memory:
         """Return what the method's search for phi keeps from one iteration to the next, as it is at the start."""

@@ -25,6 +25,11 @@ def morph(task: Task, config: "Morph", state: "State") -> Iterator[Progress]:
 
         world = exploration.world(task, state, spread, config.trajectories)  # line 2
         rollout = run_trajectories(task, state, world, config.trajectories)
+        if rollout.holds_enough and state.frozen and exploration.proxy_rests:
+            state.control.learn(state, rollout, iteration)
+            sigma = exploration.sigma_shown(spread)
+            yield state.advance(iteration, rollout, config.freeze_success, design_sigma=sigma)
+            continue
         if not rollout.holds_enough or not len(
             pairs := relabel_on_hardware(rollout, hw_phy, config.proxy.pairs, state.rng)
         ):

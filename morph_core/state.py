@@ -77,7 +77,7 @@ class State:
     def modules(self) -> Mapping[str, nn.Module]:
         """Return every network, by the name under which a checkpoint holds it."""
         networks = {name: hw_nn.proxy for name, hw_nn in self.proxies.items()}
-        return {"policy": self.control.policy, "critic": self.control.critic, **networks}
+        return {**self.control.modules, **networks}
 
     @property
     def optimizers(self) -> Mapping[str, torch.optim.Adam]:
@@ -131,7 +131,7 @@ def start(task: Task, method: Method, seed: int, design_space: DesignSpace | Non
     """Return the state before the first iteration; everything random in a run comes from `seed`."""
     space = design_space or task.design_space
     weights = torch.Generator().manual_seed(seed)
-    control = Control(task, method.ppo, method.schedule, method.hidden, weights, method.sees_phi)
+    control = method.control(task, weights)
     proxy = HwNN(task, method.proxy_fit, method.hidden, weights) if method.proxy_fit else None
     memory = method.memory(proxy)
     alpha, projection = method.steering

@@ -29,12 +29,14 @@ from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.runs import runs_router
+from studio.api.study import study_router
 from studio.api.tasks import tasks_router
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
 from studio.export.bundle import Bundle, build_bundle
 from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
+from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
 from studio.viewer import StartRequest, Viewer
@@ -106,7 +108,7 @@ def create_app(
 
     New runs are started by `launcher`, by default as processes of this machine.
     """
-    reserve = Reserve()
+    reserve, report = Reserve(), LiveReport(settings.runs)
     watched = runs or Runs(settings.runs, reserve.spawn, launcher)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
 
@@ -114,6 +116,7 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         watched.show_newest()
         with contextlib.ExitStack() as ends:
+            ends.callback(report.close)
             if runs is None:
                 ends.callback(reserve.close)
                 if launcher is None:
@@ -147,6 +150,7 @@ def create_app(
         designs_router(watched, build_bundle),
         imports_router(watched),
         events_router(watched, stopping),
+        study_router(report),
         viewer_router(),
         docs_router(),
     ):

@@ -238,7 +238,7 @@ def _login_page(tried: bool, from_elsewhere: bool) -> Response:
         if tried
         else "This studio is open to its owner only."
     )
-    digest = _style_digest(_LOGIN_STYLE)
+    digest = style_digest(_LOGIN_STYLE)
     return HTMLResponse(
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>MORPH Studio</title>{again}'
         f"<style>{_LOGIN_STYLE}</style></head><body><h1>MORPH Studio</h1><p>{html.escape(reason)} Open the link that "
@@ -250,5 +250,6 @@ def _login_page(tried: bool, from_elsewhere: bool) -> Response:
     )
 
 
-def _style_digest(style: str) -> str:
+def style_digest(style: str) -> str:
+    """Return a style sheet as a Content-Security-Policy names it."""
     return "sha256-" + base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()

@@ -110,7 +110,7 @@ def test_the_help_of_train_offers_task_method_exploration_and_search(morph_studi
     shown = plain(morph_studio("train", "--help").stdout)
     for choices in (
         "Choose from: reacher, pen_press, mouse_click, own_throw.",
-        "--method {morph,cmaes_rl,direct,no_hw_opt,random_walk}",
+        "--method {morph,cmaes_rl,direct,no_hw_opt,transform2act,value_gradient,random_walk}",
         "--exploration {design,gaussian,gaussian_iid,uniform}",
         "--search {cma,drift,gradient,scatter}",
     ):

@@ -1,7 +1,7 @@
 """Exploration `design`: every episode runs on Hw-Phy with its own design, drawn around phi."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -27,6 +27,8 @@ class Design(ExploredDesigns, Exploration):
     drift_clip: NotNegative = 0.0
     """Limit of the difference between two designs' z, in units of z: a larger one compares a state in contact with one
     that is free. 0 sets no limit."""
+    finish: Literal["policy_and_proxy", "policy"] = "policy_and_proxy"
+    """What learns once phi is frozen: policy and proxy, or the policy alone, which saves the steps of relabelling."""
 
     name: ClassVar[str] = "design"
 
@@ -35,6 +37,10 @@ class Design(ExploredDesigns, Exploration):
 
     def world(self, task: Task, state: "State", spread: Spread, trajectories: int) -> Hardware:
         return task.hw_phy(spread.designs(state, trajectories))
+
+    @property
+    def proxy_rests(self) -> bool:
+        return self.finish == "policy"
 
     def pull(self, state: "State", rollout: Rollout, pairs: Relabelled, advantage: np.ndarray) -> Pull:
         """Return the pull linearised at F_phi.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from morph_core.config import NotNegative, Positive
+from morph_core.config import Count, NotNegative, Positive
 from morph_core.design import DesignSpace
 from morph_core.divergence import limited
 from morph_core.search import Dataset, Memory, Problem, Search
@@ -31,8 +31,12 @@ class Drift(Search):
     that is free. 0 sets no limit."""
     designs: Annotated[int, Meta(ge=4, multiple_of=4)] = 24
     """Number of designs, in two halves of antithetic pairs, over which dz/dphi is averaged."""
+    groups: Count = 1
+    """Number of groups into which the relabelled pairs are split, each with so many designs of its own: for the same
+    steps of Hw-Phy the least squares see more designs."""
     ridge: NotNegative = 0.2
-    """Ridge of the least squares, as a share of the mean curvature."""
+    """Ridge of the least squares, as a share of the mean curvature of a single estimate of dz/dphi: noise of few
+    designs in a group adds to that, and makes steps shorter."""
     limit: Positive = 1.5
     """Longest step of phi in one search, in units of the explored designs' Sigma."""
 
@@ -52,23 +56,22 @@ class Drift(Search):
         """
         if not isinstance(problem.memory, Twin):
             raise ValueError("the search drift needs the memory that it made before the first iteration")
-        space, spread, dataset = problem.space, problem.spread, problem.dataset
-        # dz for pairs of designs phi +- spread
+        space, dataset = problem.space, problem.dataset
         rng = np.random.default_rng(problem.seed)
-        noise = spread.noise(space, self.designs // 2, rng)
-        offset = spread.sigma * space.scale * noise
-        pairs = space.clip(problem.start + np.concatenate([offset, -offset]))
-        z = problem.physics.z(dataset.s, dataset.a, pairs)
-        change = limited(np.nan_to_num(z[: len(noise)] - z[len(noise) :]) / 2, self.drift_clip)  # (P, n, z_size)
+        groups = np.array_split(np.arange(len(dataset.s)), min(self.groups, len(dataset.s)))
+        tried = [self._tried(problem, rows, rng) for rows in groups]
         # every component of z in units of its own change: contact shakes some more than others
-        unit = np.sqrt((change**2).mean((0, 1))) + _SMALLEST_CHANGE
+        unit = np.sqrt((np.concatenate([change for _, change in tried], 1) ** 2).mean((0, 1))) + _SMALLEST_CHANGE
         drift = limited(problem.memory.drift(dataset), self.drift_clip) / unit
-        change = (change / unit).reshape(len(noise), -1)
         # the two estimates J1, J2 of dz/dphi, by regression on whitened noise
         free = space.free
-        whiten = np.linalg.cholesky(_correlations(space, spread.correlation)[np.ix_(free, free)])
-        white = np.linalg.solve(whiten, noise[:, free].T).T
-        first, second = (change[half::2].T @ white[half::2] / len(white[half::2]) for half in (0, 1))  # (n z_size, f)
+        whiten = np.linalg.cholesky(_correlations(space, problem.spread.correlation)[np.ix_(free, free)])
+        estimates = []  # of each group, twice (n z_size, f)
+        for noise, change in tried:
+            white = np.linalg.solve(whiten, noise[:, free].T).T
+            flat = (change / unit).reshape(len(noise), -1)
+            estimates.append([flat[half::2].T @ white[half::2] / len(white[half::2]) for half in (0, 1)])
+        first, second = (np.concatenate(parts) for parts in zip(*estimates, strict=True))
         # least squares with a ridge, and a limit to its step
         curvature = (first.T @ second + second.T @ first) / 2
         pull = (first + second).T @ drift.ravel() / 2
@@ -77,8 +80,20 @@ class Drift(Search):
         step = vectors @ ((vectors.T @ pull) / np.maximum(values, ridge + 1e-12))
         step *= min(1.0, self.limit / (np.linalg.norm(step) + 1e-12))
         found = problem.start.copy()
-        found[free] += (spread.sigma * space.scale)[free] * (whiten @ step)
+        found[free] += (problem.spread.sigma * space.scale)[free] * (whiten @ step)
         return space.clip(found)[None]
+
+    def _tried(self, problem: Problem, rows: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return noise (P, d), and how far z of the dataset's `rows` changes (P, n, z_size) from phi to phi + noise.
+
+        The change is half of that between the designs of an antithetic pair.
+        """
+        space, dataset = problem.space, problem.dataset
+        noise = problem.spread.noise(space, self.designs // 2, rng)
+        offset = problem.spread.sigma * space.scale * noise
+        designs = space.clip(problem.start + np.concatenate([offset, -offset]))
+        z = problem.physics.z(dataset.s[rows], dataset.a[rows], designs)
+        return noise, limited(np.nan_to_num(z[: len(noise)] - z[len(noise) :]) / 2, self.drift_clip)
 
 
 @dataclass

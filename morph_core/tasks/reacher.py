@@ -50,12 +50,18 @@ class Tunnel:
     def _slopes(self) -> list[float]:
         return (np.diff(self.ys) / np.diff(self.xs)).tolist()
 
+    @cached_property
+    def _changes(self) -> list[float]:
+        return np.diff(self._slopes).tolist()
+
     def centre(self, x: np.ndarray) -> np.ndarray:
         """Return the height of the centre line at x (...), constant outside the tunnel."""
-        inside = np.clip(x, self.xs[0], self.xs[-1])
-        height = self.ys[0] + self._slopes[0] * (inside - self.xs[0])
-        for bend, change in zip(self.xs[1:-1], np.diff(self._slopes).tolist(), strict=True):
-            height += change * np.maximum(inside - bend, 0.0)
+        return self._centre_inside(np.clip(x, self.xs[0], self.xs[-1]))
+
+    def _centre_inside(self, x: np.ndarray) -> np.ndarray:
+        height = self.ys[0] + self._slopes[0] * (x - self.xs[0])
+        for bend, change in zip(self.xs[1:-1], self._changes, strict=True):
+            height += change * np.maximum(x - bend, 0.0)
         return height
 
     def depth_at_points(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -83,6 +89,18 @@ class Tunnel:
             at_bend, _ = self.depth_at_bend(x, y, bend)
             depth = np.maximum(depth, at_bend.max(0, initial=-np.inf))
         return depth
+
+    def touches(self, x: np.ndarray, y: np.ndarray, limit: float) -> np.ndarray:
+        """Return where `depth(x, y) >= limit` (...), several times faster."""
+        half_gap = self.gap / 2
+        touches = (x >= self.xs[0]) & (x <= self.xs[-1]) & (np.abs(y - self._centre_inside(x)) - half_gap >= limit)
+        run, rise = x[1:] - x[:-1], y[1:] - y[:-1]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of links that don't cross the bend
+            for bend_x, bend_y in zip(self.xs, self.ys, strict=True):
+                before = x < bend_x
+                height = y[:-1] + (bend_x - x[:-1]) / run * rise
+                touches[1:] |= (before[1:] != before[:-1]) & (np.abs(height - bend_y) - half_gap >= limit)
+        return touches.any(0)
 
     def deepest(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return where (N, 2) each outline of joined points (P, N) is deepest in a wall."""
@@ -302,27 +320,33 @@ class Reacher(Settings, Task):
         arm was stopped (N, 3) m.
         """
         # Much of a run's time is spent here: joints first and in single precision, numpy is several times faster.
-        x, y = (np.ascontiguousarray(c, np.float32) for c in arm.outline(q).T)  # (6, N)
+        points = np.ascontiguousarray(arm.outline(q).T, np.float32)  # (2, 6, N)
         angle = wish.T.astype(np.float32)  # (5, N)
         done = np.ones_like(angle)  # share of each joint's move
-        x_refused, y_refused = np.full_like(x, np.nan), np.full_like(y, np.nan)  # the last posture in contact
+        refused = np.full_like(points, np.nan)  # the last posture in contact
         for j in reversed(range(LINKS)):
-            reach = np.sqrt(((x[j + 1 :] - x[j]) ** 2 + (y[j + 1 :] - y[j]) ** 2).max(0))
-            swing = np.abs(angle[j]) * reach
-            near = (x[j:].max(0) + swing > self.walls.xs[0]).nonzero()[0]  # the others can't reach a wall
-            # Each environment has its own number of postures, so that none depends on what the others do.
-            n = np.maximum(1, np.ceil(swing[near] / np.float32(self.sweep_resolution)))
-            parts = np.minimum(np.arange(1, n.max(initial=1) + 1, dtype=np.float32)[:, None] / n, 1)
-            x_near, y_near = (c[j:].take(near, 1)[:, None] for c in (x, y))
-            x_swept, y_swept = _turn(x_near, y_near, parts * angle[j, near])  # (6 - j, n, near)
-            steps = np.logical_and.accumulate(self.walls.depth(x_swept, y_swept) < TOLERANCE, 0).sum(0)
-            done[j, near] = np.minimum(steps / n, 1)
-            stopped = (steps < n).nonzero()[0]
-            for refused, now, swept in ((x_refused, x, x_swept), (y_refused, y, y_swept)):
-                refused[:j, near[stopped]] = now[:j, near[stopped]]
-                refused[j:, near[stopped]] = swept[:, steps[stopped], stopped]
-            x[j:], y[j:] = _turn(x[j:], y[j:], done[j] * angle[j])
-        return done.T * wish, 1 - done.mean(0, dtype=float), self._contact(x_refused, y_refused)
+            pivot, carried = points[:, j], points[:, j:] - points[:, j : j + 1]
+            square = carried * carried
+            swing = np.abs(angle[j]) * np.sqrt((square[0] + square[1]).max(0))
+            near = (points[0, j:].max(0) + swing > self.walls.xs[0]).nonzero()[0]  # the others can't reach a wall
+            if len(near):
+                # Each environment has its own number of postures, so that none depends on what the others do.
+                n = np.maximum(1, np.ceil(swing[near] / np.float32(self.sweep_resolution)))
+                end = n.cumsum(dtype=int)
+                begin = end - n.astype(int)
+                posture = np.arange(end[-1])
+                of = np.repeat(np.arange(len(near)), end - begin)  # the environment of each posture
+                part = (posture - (begin - 1)[of]).astype(np.float32) / n[of]
+                which = near[of]
+                swept = _turned(pivot.take(which, 1), carried.take(which, 2), part * angle[j].take(which))
+                touches = self.walls.touches(*swept, TOLERANCE)
+                first = np.minimum.reduceat(np.where(touches, posture, end[-1]), begin)
+                done[j, near] = (np.minimum(first, end) - begin) / n
+                stopped = (first < end).nonzero()[0]
+                refused[:, :j, near[stopped]] = points[:, :j, near[stopped]]
+                refused[:, j:, near[stopped]] = swept[:, :, first[stopped]]
+            points[:, j:] = _turned(pivot, carried, done[j] * angle[j])
+        return done.T * wish, 1 - done.mean(0, dtype=float), self._contact(*refused)
 
     def _sweep_outline(self, hardware: HardwareOfEpisodes, s: np.ndarray, wish: np.ndarray) -> tuple[np.ndarray, ...]:
         """Do what `_sweep` does for hardware that is known only by its z: the outline on the way is what it says of the
@@ -410,7 +434,11 @@ class Reacher(Settings, Task):
         return s[:, :LINKS]
 
 
-def _turn(x: np.ndarray, y: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (P, ...) turned about the first by angle (...): x and y (P, ...)."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return x[0] + cos * (x - x[0]) - sin * (y - y[0]), y[0] + sin * (x - x[0]) + cos * (y - y[0])
+def _turned(pivot: np.ndarray, carried: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return the points (2, P, N) that `carried` (2, P, N) about a pivot (2, N) come to, turned by angle (N,)."""
+    turned, across = carried * np.cos(angle), carried * np.sin(angle)
+    turned[0] += pivot[0]
+    turned[0] -= across[1]
+    across[0] += pivot[1]
+    turned[1] += across[0]
+    return turned

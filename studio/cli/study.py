@@ -1,7 +1,6 @@
 """`morph-studio study`: compare methods over tasks and seeds at equal environment steps."""
 
-import importlib
-import importlib.util
+import functools
 import json
 import shlex
 import shutil
@@ -10,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import tyro
@@ -28,6 +27,7 @@ from studio.study.launcher import Launcher
 from studio.study.launchers import launcher_of_study, make_launcher
 from studio.study.plan import (
     Study,
+    StudyError,
     parse_seeds,
     parse_task,
     parse_variant,
@@ -35,6 +35,7 @@ from studio.study.plan import (
     read_study,
     write_study,
 )
+from studio.study.report import write_report, write_tables_into
 from studio.study.slurm_options import SlurmOptions
 from studio.study.standing import RunStanding, Standings, by_variant, seconds_left, share_done
 
@@ -43,7 +44,6 @@ LINE_SECONDS = 10.0
 """Seconds between two printed lines where there is no terminal."""
 SHOWN_RUNS = 16
 """Largest number of running runs that a terminal shows one by one."""
-REPORT_MODULE = "studio.study.report"
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,8 @@ class StudyArguments:
     """Stop the study in DIR: its trainers save a checkpoint, what waits is not started."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Write the report of the study in DIR, however far it is."""
+    table: Annotated[Path | None, tyro.conf.arg(metavar="FILE.md")] = None
+    """With --report: write the study's tables into this document instead, where it has a place for them."""
     json: bool = False
     """Print one JSON document at the end and nothing else."""
 
@@ -88,13 +90,16 @@ class StudyArguments:
 def main(words: Sequence[str]) -> int:
     """Run `morph-studio study` with these words; return the exit status. UsageError says what is allowed."""
     asked = parse(StudyArguments, words, "study")
-    acts: dict[str, Callable[[Path, bool], int]] = {"status": _status, "cancel": _cancel, "report": _report}
+    report = functools.partial(_tables, asked.table) if asked.table else _report
+    acts: dict[str, Callable[[Path, bool], int]] = {"status": _status, "cancel": _cancel, "report": report}
     chosen = [name for name in acts if getattr(asked, name) is not None]
     try:
         if not chosen:
             return _run(asked)
-        if len(chosen) > 1 or asked != StudyArguments(json=asked.json, **{chosen[0]: getattr(asked, chosen[0])}):
-            raise UsageError(f"study: --{chosen[0]} DIR goes alone, or with --json")
+        alone = {name: getattr(asked, name) for name in ("json", chosen[0], *["table"] * (chosen == ["report"]))}
+        if len(chosen) > 1 or asked != StudyArguments(**alone):
+            others = "--table or --json" if chosen[0] == "report" else "--json"
+            raise UsageError(f"study: --{chosen[0]} DIR goes alone, or with {others}")
         return acts[chosen[0]](getattr(asked, chosen[0]), asked.json)
     except ValueError as error:
         raise error if isinstance(error, UsageError) else UsageError(f"study: {error}") from error
@@ -135,8 +140,8 @@ def _run(asked: StudyArguments) -> int:
         raise
     standings, code = _follow(out, study, launcher, quiet=asked.json)
     _conclude(out, study, standings, asked.json)
-    if code == 0 and not asked.json and importlib.util.find_spec(REPORT_MODULE):
-        return _report(out, asked.json)
+    if code != 130 and not asked.json:
+        _try_report(out)
     return code
 
 
@@ -162,12 +167,22 @@ def _cancel(directory: Path, as_json: bool) -> int:
 
 
 def _report(directory: Path, as_json: bool) -> int:
-    read_study(directory)
-    if importlib.util.find_spec(REPORT_MODULE) is None:
-        raise UsageError("study: this version writes no report")
-    report: Any = importlib.import_module(REPORT_MODULE)
-    path = report.write_report(directory)
+    path = write_report(directory)
     _print(json.dumps({"report": str(path)}) if as_json else f"report: {path}")
+    return 0
+
+
+def _try_report(directory: Path) -> None:
+    """Write the report of a study that is over; the study has come to what it has, with a report or without."""
+    try:
+        _report(directory, as_json=False)
+    except StudyError as error:
+        print(f"morph-studio: {error}", file=sys.stderr)  # noqa: T201
+
+
+def _tables(document: Path, directory: Path, as_json: bool) -> int:
+    count = write_tables_into(directory, document)
+    _print(json.dumps({"tables": count}) if as_json else f"{count} table{'s' * (count != 1)} written to {document}")
     return 0
 
 

@@ -205,8 +205,7 @@ class Local(Launcher):
         """Start a trainer that inherits the locks `held`; False where the run was given up instead."""
         folder, before = history.folder, read_launch(history.folder.path)
         furthest = max((e.iteration for e in history.events if isinstance(e, Progress)), default=0)
-        died = history.state is None or history.state.status != "stopped"
-        barren = before.starts if before and died and furthest <= before.furthest else 0
+        barren = before.starts if before and furthest <= before.furthest else 0
         if before and barren >= GIVE_UP:
             cause = self._causes.get(folder.id) or history.message
             reason = f"given up after {barren} starts that got no further than iteration {furthest}: {cause}"

@@ -15,6 +15,8 @@ from morph_core.methods.cmaes_rl import CmaesRl
 from morph_core.methods.direct import Direct
 from morph_core.methods.no_hw_opt import NoHwOpt
 from morph_core.methods.proxy import Morph
+from morph_core.methods.transform2act import Transform2Act
+from morph_core.methods.value_gradient import ValueGradient
 from morph_core.parts import Evaluation, Ppo, ProxyFit, Schedule
 from morph_core.protocol import FORMAT, RunRecord
 from morph_core.run_folder import RunFolder, create_run
@@ -34,7 +36,14 @@ _NO_HW_OPT = NoHwOpt(
 SMALL = Morph(**vars(_NO_HW_OPT), proxy=ProxyFit(prefit=20), search=Cma(pairs=32, generations=3))
 _SMALL: Mapping[str, Method] = {
     method.name: method
-    for method in (SMALL, CmaesRl(**vars(_NO_HW_OPT), candidate_iterations=2), Direct(**vars(_NO_HW_OPT)), _NO_HW_OPT)
+    for method in (
+        SMALL,
+        CmaesRl(**vars(_NO_HW_OPT), candidate_iterations=2),
+        Direct(**vars(_NO_HW_OPT)),
+        _NO_HW_OPT,
+        Transform2Act(**vars(_NO_HW_OPT)),
+        ValueGradient(**vars(_NO_HW_OPT)),
+    )
 }
 
 

@@ -94,7 +94,7 @@ def changed(draw: st.DrawFn) -> Method:
 def test_there_are_as_many_choices_as_parts_together() -> None:
     assert {id_of(method) for method in CHOICES} >= {
         "morph-design-cma", "morph-gaussian-cma", "morph-design-drift", "morph-design-gradient", "direct", "no_hw_opt",
-        "cmaes_rl",
+        "cmaes_rl", "transform2act", "value_gradient",
     }  # fmt: skip
 
 
@@ -158,7 +158,8 @@ def test_a_choice_that_is_none_lists_the_choices(wanted: object) -> None:
 
 
 def test_unknown_methods_tasks_and_options_list_the_choices() -> None:
-    with pytest.raises(ValueError, match=r'^unknown method "cmaes"; choose from: morph, cmaes_rl, direct, no_hw_opt$'):
+    methods = "morph, cmaes_rl, direct, no_hw_opt, transform2act, value_gradient"
+    with pytest.raises(ValueError, match=rf'^unknown method "cmaes"; choose from: {methods}$'):
         make_method("cmaes")
     with pytest.raises(ValueError, match=r'^unknown task "reach"; choose from: reacher, pen_press, mouse_click$'):
         make_task("reach")

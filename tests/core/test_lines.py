@@ -2,7 +2,7 @@
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -103,6 +103,29 @@ def test_phi_is_frozen_once_enough_trajectories_succeed(kind: Any, share: float,
     assert state.frozen is frozen
     run(method, 1, state)  # nobody succeeds any more
     assert state.frozen is frozen
+
+
+@pytest.mark.parametrize(("finish", "rests"), [("policy_and_proxy", False), ("policy", True)])
+def test_once_phi_is_frozen_the_proxy_learns_on_or_rests_without_a_step_of_relabelling(
+    finish: Literal["policy_and_proxy", "policy"], rests: bool
+) -> None:
+    method = replaced(exploration=Design(finish=finish))
+    state = begun(method)
+    run(method, 1, state)
+
+    def weights(name: str) -> list[np.ndarray]:
+        return [weight.detach().numpy().copy() for weight in state.modules[name].parameters()]
+
+    for frozen in (False, True):
+        state.frozen = frozen
+        before, steps = {name: weights(name) for name in ("policy", "proxy")}, state.relabelled_steps
+        (progress,) = run(method, 1, state)
+        resting = frozen and rests
+        same = {name: all(map(np.array_equal, before[name], weights(name))) for name in before}
+        assert same == {"policy": False, "proxy": resting}
+        assert (state.relabelled_steps == steps) is resting
+        assert (progress.divergence is None) is resting
+        assert (progress.design_sigma == 0.0) is frozen
 
 
 # --- what an iteration counts ---

@@ -226,6 +226,24 @@ def test_two_halves_of_the_designs_are_multiplied_and_neither_with_itself() -> N
         assert found[1] == 2.0
 
 
+def test_every_group_of_pairs_is_tried_with_designs_of_its_own() -> None:
+    asked = problem(dataset_of([2.3, 1.6]), spread=Spread(0.5, 0.0), memory=Twin(proxy([[2.0, 0.0], [0.0, 2.0]])))
+    found = search(designs=4, groups=16, ridge=0.2).candidates(asked)[0]
+    asked_of = asked.physics.asked  # pyright: ignore[reportAttributeAccessIssue]
+    assert [designs.shape for designs in asked_of] == [(4, 2)] * 16
+    assert len(np.unique(np.concatenate(asked_of), axis=0)) == 16 * 4
+    assert asked.physics.steps == 4 * 64  # every pair is in one group
+    assert np.dot(found - START, [0.3, -0.4]) > 0
+
+
+@pytest.mark.parametrize("groups", [3, 64, 65])
+def test_however_the_pairs_are_split_phi_follows_the_drift(groups: int) -> None:
+    found, asked = drifted([0.3, -0.4], search(groups=groups))
+    assert np.allclose(found - START, [0.3, -0.4], rtol=0.01)
+    assert asked.physics.steps == 16 * 64
+    assert len(asked.physics.asked) == min(groups, 64)  # pyright: ignore[reportAttributeAccessIssue]
+
+
 def test_what_a_rough_hw_phy_adds_to_a_half_does_not_shorten_the_step() -> None:
     class Rough(Scales):
         def hw_phy(self, phi: np.ndarray) -> Any:

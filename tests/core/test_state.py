@@ -61,7 +61,7 @@ def test_the_reference_begins_as_the_proxys_twin() -> None:
     assert set(state.optimizers) == {"control", "proxy", "reference"}
 
 
-@pytest.mark.parametrize("method", ["cmaes_rl", "direct", "no_hw_opt"])
+@pytest.mark.parametrize("method", ["cmaes_rl", "direct", "no_hw_opt", "value_gradient"])
 def test_a_method_without_a_proxy_has_none(method: str) -> None:
     state = start(TASK, small_method(method), 0)
     assert set(state.modules) == {"policy", "critic"}

@@ -333,7 +333,7 @@ def test_further_goes_beyond_a_finished_run(tmp_path: Path) -> None:
     assert train(make_run(tmp_path, "whole", iterations=5)).phi.tolist() == History(folder).phi.tolist()
 
 
-@pytest.mark.parametrize("method", ["morph", "cmaes_rl", "direct", "no_hw_opt"])
+@pytest.mark.parametrize("method", ["morph", "cmaes_rl", "direct", "no_hw_opt", "transform2act", "value_gradient"])
 @pytest.mark.slow
 def test_killed_and_resumed_is_bitwise_the_run_that_was_not(tmp_path: Path, method: str) -> None:
     whole = train(make_run(tmp_path, "whole", small_method(method), seed=3, iterations=12))

@@ -79,7 +79,7 @@ def refused(answer: httpx.Response, status: int = 422) -> str:
 
 def test_tasks_come_with_everything_a_form_needs(served: Served) -> None:
     answer = served.client.get("/api/tasks").json()
-    assert set(answer["methods"]) == {"morph", "no_hw_opt", "direct", "cmaes_rl"}
+    assert set(answer["methods"]) == {"morph", "no_hw_opt", "direct", "cmaes_rl", "transform2act", "value_gradient"}
     (reacher,) = (task for task in answer["tasks"] if task["name"] == "reacher")
     options = {option["name"]: option for option in reacher["options"]}
     assert options["tunnel"]["choices"] == ["zigzag", "paper"]

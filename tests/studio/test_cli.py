@@ -161,9 +161,12 @@ def test_the_command_line_does_not_load_torch() -> None:
         ("train reacher extra", "too many words: extra"),
         ("train reacher --alhpa 1", "did you mean --alpha?"),
         ("train reacher --alhpa 1", "choose from: --runs --iterations --env-steps --resume"),
+        (
+            "train reacher --method sgd",
+            "choose from: morph, cmaes_rl, direct, no_hw_opt, transform2act, value_gradient",
+        ),
         ("train reacher --preset letter", '--preset can\'t be "letter"; choose from: paper, studio'),
         ("train reacher --preset paper --method direct", "one of the method morph, not of direct"),
-        ("train reacher --method sgd", "choose from: morph, cmaes_rl, direct, no_hw_opt"),
         ("train reacher --projection both", "choose from: none, one_sided, as_printed"),
         ("train reacher --tunnel straight", "choose from: zigzag, paper"),
         ("train reacher --alpha nan", "alpha must be finite, not nan"),

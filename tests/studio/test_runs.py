@@ -66,7 +66,7 @@ def test_runs_of_the_same_second_get_names_of_their_own(runs_folder: Path) -> No
     ("wish", "sentence"),
     [
         ({"task": "reach"}, "choose from: .*reacher"),
-        ({"method": "magic"}, "choose from: morph, cmaes_rl, direct, no_hw_opt"),
+        ({"method": "magic"}, "choose from: morph, cmaes_rl, direct, no_hw_opt, transform2act, value_gradient"),
         ({"settings": {"alfa": 1}}, "choose from: .*alpha"),
         ({"settings": {"alpha": math.nan}}, "alpha must be finite"),
         ({"settings": {"ppo.gamma": 1.5}}, r"ppo.gamma must lie in \(0, 1\]"),

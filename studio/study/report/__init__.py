@@ -1,0 +1,40 @@
+"""The report of a study, made from its run folders at any time: tables, figures, the paper's claims, one page."""
+
+import importlib.util
+from pathlib import Path
+
+from studio.study.plan import StudyError
+
+NEEDED = ("jinja2", "matplotlib", "pyarrow", "scipy")
+
+
+def write_report(directory: Path) -> Path:
+    """Write the report of a study into its folder `report`, and return the path of report.html.
+
+    Raise StudyError if the folder holds no study, or if what the report is made with is not installed.
+    """
+    check_extra()
+    from studio.study.report.write import write_report as write
+
+    return write(directory)
+
+
+def write_tables_into(directory: Path, document: Path) -> int:
+    """Write the tables of a study into the places that a Markdown document has for them; return how many.
+
+    `directory` is the study's, or that of its report. Raise StudyError if there is no study or no place.
+    """
+    check_extra()
+    from studio.study.report.markdown import write_into
+    from studio.study.report.results import read_results
+    from studio.study.report.tables import read_tables
+
+    results = read_tables(directory) if (directory / "runs.csv").is_file() else read_results(directory)
+    return write_into(document, directory.resolve().name, results)
+
+
+def check_extra() -> None:
+    """Raise StudyError that names the extra if a package is missing that reports are made with."""
+    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        raise StudyError(f'a report needs {", ".join(missing)}: pip install "morph-studio[study]"')
