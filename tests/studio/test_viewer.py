@@ -103,7 +103,7 @@ def test_start_asks_for_what_the_form_says_and_opens_the_run(page: Page) -> None
     form.submit(None)
     assert page.started == [
         StartRequest(
-            task="reacher", method="morph", seed=7, iterations=50, task_options={"tunnel": "paper"},
+            task="reacher", preset="studio", method="morph", seed=7, iterations=50, task_options={"tunnel": "paper"},
             settings={"alpha": 2.5, "projection": "one_sided", "exploration": "gaussian"},
         )
     ]  # fmt: skip
