@@ -151,7 +151,7 @@ class Trainer:
     def _why_done(self, state: State) -> str:
         if state.iteration >= self._last:
             return f"all {self._last} iterations are done"
-        return f"the budget of {self._budget} environment steps is spent after iteration {state.iteration}"
+        return f"the budget of {self._budget:,} environment steps is spent after iteration {state.iteration}"
 
     def _remaining_iterations(self) -> int:
         """Return how many iterations are left, by the last ones' environment steps where a budget may end the run."""

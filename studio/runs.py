@@ -20,7 +20,8 @@ from studio.commands import check_command
 from studio.inquest import Inquest
 from studio.new_run import prepare_run
 from studio.study.local import CANCELLED
-from studio.study.slurm import Slurm, SlurmError, slurm_launch
+from studio.study.slurm import Slurm, slurm_launch
+from studio.study.slurm_queue import SlurmError
 from studio.trainers import spawn_trainer
 
 WATCHED = 20

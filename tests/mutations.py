@@ -253,6 +253,11 @@ MUTANTS: tuple[Mutant, ...] = (
         ("np.linalg.eigvalsh(curvature)[-1]", "np.linalg.eigvalsh(curvature)[0]"),
     ),
     *_of(
+        f"{CORE}/searches/gradient.py",
+        "core/test_search.py::test_the_gradient_search_counts_what_it_asks_of_the_physics",
+        ("problem.physics.steps += len(residual)", "pass"),
+    ),
+    *_of(
         f"{CORE}/searches/drift.py", "core/test_searches.py",
         ("np.maximum(values, ridge + 1e-12)", "np.maximum(values, 1e-12)"),
         ("limited(problem.memory.drift(dataset), self.drift_clip)", "problem.memory.drift(dataset)"),
@@ -505,6 +510,27 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/train.py", "core/test_train.py::test_an_edit_of_the_design_lets_a_frozen_search_go_on",
         ("state.frozen = state.frozen and not edit.concerns_design", "pass"),
+    ),
+    *_of(
+        f"{CORE}/train.py",
+        "core/test_train.py::test_what_the_end_of_a_run_misses_is_done_when_it_is_taken_up_again_and_nothing_twice",
+        ("and state.iteration not in self._measured", ""),
+        ("iteration for iteration in self._measured if iteration <= state.iteration", "state.iteration"),
+        ("[self._record.seed, state.iteration, episodes]", "[time.time_ns()]"),
+    ),
+    *_of(
+        f"{CORE}/train.py", "core/test_train.py::test_a_budget_ends_a_run_after_the_iteration_that_reaches_it",
+        ("state.env_steps >= self._budget", "state.env_steps >= 2 * self._budget"),
+        ("% method.evaluation.interval == 0 or self._is_done(state)", "% method.evaluation.interval == 0"),
+    ),
+    *_of(
+        f"{CORE}/train.py", "core/test_train.py::test_further_iterations_go_beyond_the_budget",
+        ("None if further is not None else self._record.env_steps", "self._record.env_steps"),
+    ),
+    *_of(
+        f"{CORE}/train.py", "core/test_train.py::test_the_end_that_a_budget_sets_is_foreseen",
+        ("max(0, self._budget - self._env_steps)", "self._budget"),
+        ("np.mean([steps for _, steps in self._pace]) if self._pace else self._longest_iteration", "1"),
     ),
     *_of(
         f"{CORE}/train.py", "core/test_steered.py",

@@ -9,7 +9,8 @@ import tyro
 from studio.cli.arguments import RunsArguments, UsageError, parse
 from studio.settings import Settings, default_port
 from studio.study.launchers import make_launcher
-from studio.study.slurm import Slurm, SlurmOptions
+from studio.study.slurm import Slurm
+from studio.study.slurm_options import SlurmOptions
 
 
 @dataclass(frozen=True)

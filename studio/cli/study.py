@@ -36,7 +36,7 @@ from studio.study.plan import (
     write_study,
 )
 from studio.study.report import write_report, write_tables_into
-from studio.study.slurm import SlurmOptions
+from studio.study.slurm_options import SlurmOptions
 from studio.study.standing import RunStanding, Standings, by_variant, seconds_left, share_done
 
 POLL_SECONDS = 0.5

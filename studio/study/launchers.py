@@ -5,7 +5,8 @@ from pathlib import Path
 from studio.study.launcher import Launcher
 from studio.study.local import Local, launcher_of
 from studio.study.plan import Study
-from studio.study.slurm import Slurm, SlurmOptions
+from studio.study.slurm import Slurm
+from studio.study.slurm_options import SlurmOptions
 
 LAUNCHERS: dict[str, type[Launcher]] = {Local.name: Local, Slurm.name: Slurm}
 

@@ -121,7 +121,7 @@ class RunPanel:
             lines.append(wording.text(message))
         if history.other_processor:
             lines.append(f'<span style="color:{wording.AMBER}">{wording.text(history.other_processor)}</span>')
-        of = f" of {'about ' * (history.record.env_steps is not None)}{planned}" if planned else ""
+        of = f" of {'about ' * (live and history.record.env_steps is not None)}{planned}" if planned else ""
         lines.append(f"iteration <b>{history.iteration}</b>{of}{eta}")
         return wording.paragraph("<br>".join(lines))
 

@@ -254,9 +254,8 @@ def report(runs: Sequence[Run]) -> None:
         for side, made in sides.items():
             steps, cpu, success, returns = np.median([run.curve[at] for run in made], 0)
             each = " ".join(f"{run.curve[at][2]:.2f}" for run in made)
-            shown.append(
-                f"{side} {steps / 1e6:.2f} M {cpu:5.1f} CPU-s success {success:.2f} ({each}) return {returns:.2f}"
-            )
+            rate = f"{steps / 1e6:.2f} M {cpu:5.1f} CPU-s"
+            shown.append(f"{side} {rate} success {success:.2f} ({each}) return {returns:.2f}")
         print(" | ".join(shown))
 
 

@@ -73,13 +73,13 @@ def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path:
 
 
 def test_a_budget_ends_a_run_after_the_iteration_that_reaches_it(tmp_path: Path) -> None:
-    folder = make_run(tmp_path, iterations=1000, env_steps=1500, final_episodes=10)
+    folder = make_run(tmp_path, iterations=1000, env_steps=1300, final_episodes=10)
     Trainer(folder).run()
     history = History(folder)
     *before, last = history.progress
-    assert before[-1].env_steps < 1500 <= last.env_steps
+    assert before[-1].env_steps < 1300 <= last.env_steps
     assert history.status == "finished"
-    assert history.message == f"the budget of 1500 environment steps is spent after iteration {last.iteration}"
+    assert history.message == f"the budget of 1,300 environment steps is spent after iteration {last.iteration}"
     assert history.planned_iterations == last.iteration
     regular, final = history.evaluations[-2:]
     assert (regular.iteration, regular.episodes, regular.final) == (last.iteration, 4, False)
@@ -129,7 +129,9 @@ def test_the_end_that_a_budget_sets_is_foreseen(tmp_path: Path, monkeypatch: pyt
     loaded = [beat for beat in beats if beat.stage != "loading"]
     assert all(abs(beat.iterations - ended) <= 2 for beat in loaded)
     assert loaded[-1].iterations == loaded[-1].iteration == ended
-    assert 0 < next(beat.eta_seconds for beat in reversed(beats) if beat.iteration == 2 and beat.eta_seconds) < 60
+    etas = [beat.eta_seconds for beat in loaded if beat.eta_seconds is not None]
+    assert etas[0] > 0
+    assert etas[-1] == 0
 
 
 def test_how_often_a_run_is_evaluated_does_not_change_what_is_learnt(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -25,7 +26,9 @@ from studio.runs import Runs
 from studio.settings import Settings
 from studio.study import slurm as module
 from studio.study.local import CANCELLED, Local
-from studio.study.slurm import Slurm, SlurmError, SlurmOptions, seconds_of, slurm_launch
+from studio.study.slurm import Slurm, slurm_launch
+from studio.study.slurm_options import SlurmOptions, seconds_of
+from studio.study.slurm_queue import SlurmError
 from studio.trainers import Reserve
 
 FAKE = Path(__file__).with_name("fake_slurm.py")
@@ -46,7 +49,7 @@ class Cluster:
         queue = self.queue | {name.removeprefix("t"): state for name, state in tasks.items()}
         (self.path / "queue").write_text(json.dumps({task: state for task, state in queue.items() if state}))
 
-    def refuse(self, **words: list[str | None]) -> None:
+    def refuse(self, **words: Sequence[str | None]) -> None:
         """Let the next calls of a command fail with these words; an empty one is not refused."""
         (self.path / "refusals").write_text(json.dumps(words))
 
@@ -307,7 +310,7 @@ def test_cancelled_runs_are_taken_out_and_stay_out_until_they_are_requeued(clust
     slurm.submit(study, RUNS)
     cluster.say(t42_0="RUNNING|n1|None", t42_1="COMPLETED||None")
     slurm.cancel(study, RUNS[:3])
-    assert cluster.calls("scancel") == [["42_0", "42_2"]]
+    assert cluster.calls("scancel") == [["--quiet", "42_0", "42_2"]]
     assert {run: place.given_up for run, place in slurm.states(study, RUNS).items()} == {
         "r0": True, "r1": True, "r2": True, "r3": False,
     }  # fmt: skip

@@ -15,7 +15,8 @@ from morph_core.protocol import StateChanged
 from morph_core.run_folder import RunFolder
 from morph_core.state import start
 from studio.study.launcher import Place
-from studio.study.slurm import Slurm, SlurmOptions, slurm_launch
+from studio.study.slurm import Slurm, slurm_launch
+from studio.study.slurm_options import SlurmOptions
 from tests.core.conftest import make_run, small_method
 
 __all__ = ["slurm_cluster"]  # a fixture

@@ -1,11 +1,14 @@
 """The viewer on a real viser server, driven through `show`, by its handles, and by a browser's raw messages."""
 
 import math
+import platform
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import psutil
 import pytest
 import viser
 from conftest import NAME, Page, design_of, eventually, make_run
@@ -18,6 +21,7 @@ from morph_core.protocol import (
     AnyEvent,
     DesignSpaceChanged,
     Evaluation,
+    Heartbeat,
     InjectDesign,
     Lock,
     Pause,
@@ -31,7 +35,8 @@ from morph_core.protocol import (
     Stop,
     Unlock,
 )
-from morph_core.run_folder import EventLog, RunFolder, write_episode
+from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, write_episode
+from studio.new_run import prepare_run
 from studio.viewer import StartRequest
 from studio.viewer.charts import MOST_POINTS, decimate
 from studio.viewer.take import Shot, make_take
@@ -98,7 +103,7 @@ def test_start_asks_for_what_the_form_says_and_opens_the_run(page: Page) -> None
     form.submit(None)
     assert page.started == [
         StartRequest(
-            task="reacher", method="morph", seed=7, iterations=50, task_options={"tunnel": "paper"},
+            task="reacher", preset="studio", method="morph", seed=7, iterations=50, task_options={"tunnel": "paper"},
             settings={"alpha": 2.5, "projection": "one_sided", "exploration": "gaussian"},
         )
     ]  # fmt: skip
@@ -287,6 +292,31 @@ def test_another_kind_of_processor_is_said_on_the_panel(page: Page, folder: RunF
         log.append(StateChanged(status="starting", iteration=3, processor=model, instruction_set="AVX2"))
         page.show(folder, "running")
     assert "begun on EPYC, AVX2, went on from iteration 3 on &lt;Xeon&gt;, AVX2" in page.viewer.run.state.content
+
+
+def test_a_run_with_a_budget_shows_how_much_of_it_is_spent(page: Page, tmp_path: Path) -> None:
+    folder = prepare_run(tmp_path, task="reacher", iterations=9000, env_steps=800_000)
+    page.show(folder, "queued")
+    assert "iteration <b>0</b></div>" in page.viewer.run.state.content, "nobody knows yet of how many"
+    me = psutil.Process()
+    HeartbeatFile(folder).write(
+        Heartbeat(platform.node(), me.pid, me.create_time(), time.time(), "running", "learning", 3, 12)
+    )
+    log = EventLog(folder)
+    log.append(StateChanged(status="running", iteration=0))
+    log.append(
+        Progress(
+            iteration=3, env_steps=200_000, phi=[1.0] * 5, episode_return=0, success=0, policy_std=1,
+            relabelled_steps=1024, search_steps=2048,
+        )
+    )  # fmt: skip
+    page.show(folder, "running")
+    assert "iteration <b>3</b> of about 12" in page.viewer.run.state.content
+    assert page.viewer.run.bar.value == 25.0
+    for shown in ("200.0 k of 800.0 k", "steps for relabelling", "1.0 k", "steps for the search", "2.0 k"):
+        assert shown in page.viewer.run.numbers.content
+    page.show(folder, "finished")
+    assert "about" not in page.viewer.run.state.content
 
 
 def test_resume_orders_a_waiting_trainer_and_restarts_a_gone_one(page: Page, folder: RunFolder) -> None:
