@@ -42,7 +42,16 @@ PRESETS: Mapping[str, Preset] = {
             "morph",
             # phi has to be frozen on success: among episodes that all succeed, ranking moves it at random.
             {"exploration": "gaussian", "search": "cma", "projection": "one_sided", "freeze_success": 0.8},
-            {"exploration": "design"},
+            {
+                "exploration": "design",
+                # Contact's own variance would draw CMA-ES to a hand that touches nothing; docs/hands.md has the runs.
+                "search": "cma_debiased",
+                # K and kappa were chosen with it: a search costs as many steps as four iterations.
+                "design_interval": 4,
+                "exploration.kappa": 3.0,
+                "freeze_success": 0.5,
+                "projection": "none",
+            },
         ),
     )
 }

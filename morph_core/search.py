@@ -101,19 +101,27 @@ class Physics:
 
     def z(self, s: np.ndarray, a: np.ndarray, candidates: np.ndarray) -> np.ndarray:
         """Return z (P, n, z_size) of candidates phi (P, d) for (s, a) (n, ...), all of them in one batch."""
-        count, pairs = len(candidates), len(s)
+        return self.z_each(s, a, np.repeat(candidates[:, None], len(s), 1))
+
+    def z_each(self, s: np.ndarray, a: np.ndarray, designs: np.ndarray) -> np.ndarray:
+        """Return z (P, n, z_size) for (s, a) (n, ...), each time with a design of its own for each pair (P, n, d)."""
+        count, pairs = designs.shape[:2]
         self.steps += count * pairs
-        hw_phy = self.task.hw_phy(np.repeat(candidates, pairs, 0))
+        hw_phy = self.task.hw_phy(designs.reshape(count * pairs, -1))
         return hw_phy(np.tile(s, (count, 1)), np.tile(a, (count, 1))).reshape(count, pairs, -1)
 
     def costs(self, dataset: Dataset, candidates: np.ndarray) -> np.ndarray:
-        """Return the divergence (P,) of Hw-Phy with each candidate phi (P, d).
+        """Return the divergence (P,) of Hw-Phy with each candidate phi (P, d)."""
+        return mean_over_pairs(squared_distance(self.z(dataset.s, dataset.a, candidates), dataset.z))
 
-        Where a candidate's simulation diverges, it counts as far from the dataset as the farthest that did not.
-        """
-        square = squared_distance(self.z(dataset.s, dataset.a, candidates), dataset.z)
-        sound = np.isfinite(square)
-        return np.where(sound, square, square[sound].max() if sound.any() else np.inf).mean(-1)
+
+def mean_over_pairs(cost: np.ndarray) -> np.ndarray:
+    """Return the mean (P,) of what candidates cost at pairs (P, n).
+
+    Where a candidate's simulation diverges, it counts as far from the dataset as the farthest that did not.
+    """
+    sound = np.isfinite(cost)
+    return np.where(sound, cost, cost[sound].max() if sound.any() else np.inf).mean(-1)
 
 
 def relabel(rollout: Rollout, hw_nn: Hardware, pairs: int, rng: np.random.Generator) -> Dataset:

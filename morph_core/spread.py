@@ -34,6 +34,13 @@ class Spread:
             noise[:, group] = np.sqrt(1 - self.correlation) * noise[:, group] + np.sqrt(self.correlation) * common
         return noise
 
+    def correlations(self, space: DesignSpace) -> np.ndarray:
+        """Return the correlations (d, d) of the noise."""
+        matrix = np.eye(len(space))
+        for group in space.groups:
+            matrix[np.ix_(group, group)] += self.correlation * (1 - np.eye(group.sum()))
+        return matrix
+
     def designs(self, state: "State", count: int) -> np.ndarray:
         """Return designs (count, d) around phi: antithetic pairs, inside the box, locked entries kept."""
         space = state.design_space
@@ -81,3 +88,11 @@ def nearest_buildable(task: "Task", phi: np.ndarray, target: np.ndarray) -> np.n
             return target
         target = (phi + target) / 2
     return phi
+
+
+def drawn_back(task: "Task", phi: np.ndarray, designs: np.ndarray) -> np.ndarray:
+    """Return designs (N, d); each that can't be built is its nearest point halved back towards phi (d,) that can."""
+    built = designs.copy()
+    for index in np.flatnonzero(~task.buildable(designs)):
+        built[index] = nearest_buildable(task, phi, designs[index])
+    return built

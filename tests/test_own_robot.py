@@ -112,7 +112,7 @@ def test_the_help_of_train_offers_task_method_exploration_and_search(morph_studi
         "Choose from: reacher, pen_press, mouse_click, own_throw.",
         "--method {morph,cmaes_rl,direct,no_hw_opt,transform2act,value_gradient,random_walk}",
         "--exploration {design,gaussian,gaussian_iid,uniform}",
-        "--search {cma,drift,gradient,scatter}",
+        "--search {cma,cma_debiased,drift,gradient,scatter}",
     ):
         assert choices in shown
 
@@ -144,7 +144,7 @@ def test_the_help_of_a_run_has_the_settings_of_the_package_with_their_explanatio
         ("--step 3", '"step" does nothing for morph, only for direct or random_walk; '),
         ("--search scatter --search.tries 0", "search.tries must be at least 1, not 0"),
         ("--hold -1", "hold must be positive, not -1"),
-        ("--search scater", 'can\'t be "scater"; choose from: cma, drift, gradient, scatter'),
+        ("--search scater", 'can\'t be "scater"; choose from: cma, cma_debiased, drift, gradient, scatter'),
     ],
 )
 def test_what_does_nothing_is_refused_as_for_our_own(morph_studio: Run, words: str, sentence: str) -> None:
@@ -159,7 +159,7 @@ def test_the_start_panel_offers_them_with_their_settings(site: Path) -> None:
     assert shown["task"][-1] == "own_throw"
     assert shown["method"][-1] == "random_walk"
     assert shown["exploration"] == ["design", "gaussian", "gaussian_iid", "uniform"]
-    assert shown["search"] == ["cma", "drift", "gradient", "scatter"]
+    assert shown["search"] == ["cma", "cma_debiased", "drift", "gradient", "scatter"]
     assert shown["iterations"] == 60
     assert shown["request"] == ["own_throw", "morph", {"search": "scatter", "search.tries": 7}]
     assert not shown["notice"]
@@ -213,7 +213,7 @@ def test_packages_that_cannot_be_used_are_named_in_the_help_and_harm_nothing(mor
     shown = plain(morph_studio("train", "own_throw", "--search", "scatter", "--help", sites=(broken,)).stdout)
     for reason in REASONS:
         assert f"Left out: {reason}" in shown
-    assert "--search {cma,drift,gradient,scatter}" in shown
+    assert "--search {cma,cma_debiased,drift,gradient,scatter}" in shown
     assert "--search.tries" in shown
 
 

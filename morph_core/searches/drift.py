@@ -1,17 +1,16 @@
 """Search `drift`: least squares on how far the task draws the proxy away from Hw-Phy, where contact is rough."""
 
 import copy
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from msgspec import Meta
 
 from morph_core.config import Count, NotNegative, Positive
-from morph_core.design import DesignSpace
 from morph_core.divergence import limited
-from morph_core.search import Dataset, Memory, Problem, Search
+from morph_core.search import Problem, Search
+from morph_core.twin import Twin
 
 if TYPE_CHECKING:
     from morph_core.hw_nn import HwNN
@@ -65,7 +64,7 @@ class Drift(Search):
         drift = limited(problem.memory.drift(dataset), self.drift_clip) / unit
         # the two estimates J1, J2 of dz/dphi, by regression on whitened noise
         free = space.free
-        whiten = np.linalg.cholesky(_correlations(space, problem.spread.correlation)[np.ix_(free, free)])
+        whiten = np.linalg.cholesky(problem.spread.correlations(space)[np.ix_(free, free)])
         estimates = []  # of each group, twice (n z_size, f)
         for noise, change in tried:
             white = np.linalg.solve(whiten, noise[:, free].T).T
@@ -94,42 +93,3 @@ class Drift(Search):
         designs = space.clip(problem.start + np.concatenate([offset, -offset]))
         z = problem.physics.z(dataset.s[rows], dataset.a[rows], designs)
         return noise, limited(np.nan_to_num(z[: len(noise)] - z[len(noise) :]) / 2, self.drift_clip)
-
-
-@dataclass
-class Twin(Memory):
-    """A second proxy, trained on Hw-Phy without the task's gradient.
-
-    drift(s, a) = proxy(s, a) - reference(s, a) is how the task would like z to change.
-    """
-
-    reference: "HwNN"
-
-    @property
-    def learners(self) -> Mapping[str, "HwNN"]:
-        return {"reference": self.reference}
-
-    def drift(self, dataset: Dataset) -> np.ndarray:
-        """Return the drift (n, z_size) of a dataset that the proxy has labelled."""
-        return dataset.z - self.reference(dataset.s, dataset.a)
-
-    def proxy_was_fitted(self, hw_nn: "HwNN") -> None:
-        """Let the reference start as the proxy is."""
-        self.reference.copy_weights(hw_nn)
-
-    def learn(self, features: Any, target: Any) -> None:
-        self.reference.learn(features, target)
-
-    def phi_was_found(self, hw_nn: "HwNN") -> None:
-        """Copy the reference's weights and Adam moments into the proxy: phi has just followed their difference, so it
-        starts at zero again."""
-        hw_nn.copy_weights(self.reference)
-        hw_nn.copy_moments(self.reference)
-
-
-def _correlations(space: DesignSpace, correlation: float) -> np.ndarray:
-    """Return the correlations (d, d) of the noise of `Spread.noise`."""
-    matrix = np.eye(len(space))
-    for group in space.groups:
-        matrix[np.ix_(group, group)] += correlation * (1 - np.eye(group.sum()))
-    return matrix

@@ -16,6 +16,7 @@ from morph_core.methods.no_hw_opt import NoHwOpt
 from morph_core.methods.proxy import Morph
 from morph_core.parts import Ppo, ProxyFit, Schedule
 from morph_core.searches.cma import Cma
+from morph_core.searches.cma_debiased import CmaDebiased
 from morph_core.searches.drift import Drift
 from morph_core.spread import ExploredDesigns
 from morph_core.task import Hardware, Task, Transition
@@ -55,6 +56,7 @@ _MORPH = Morph(
     search=Drift(pairs=128, designs=4, groups=16, drift_clip=0.2, ridge=0.25),
 )
 _CMA = Cma(pairs=256, population=10, generations=6)
+_CMA_DEBIASED = CmaDebiased(pairs=128, drift_clip=0.2)
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ class GraspTask(Settings, Task):
 
     @property
     def tuned(self) -> tuple[Settings, ...]:
-        return (_MORPH, _DIRECT, _NO_HW_OPT, _CMA)
+        return (_MORPH, _DIRECT, _NO_HW_OPT, _CMA, _CMA_DEBIASED)
 
     @property
     @abstractmethod

@@ -93,8 +93,8 @@ def changed(draw: st.DrawFn) -> Method:
 
 def test_there_are_as_many_choices_as_parts_together() -> None:
     assert {id_of(method) for method in CHOICES} >= {
-        "morph-design-cma", "morph-gaussian-cma", "morph-design-drift", "morph-design-gradient", "direct", "no_hw_opt",
-        "cmaes_rl", "transform2act", "value_gradient",
+        "morph-design-cma", "morph-gaussian-cma", "morph-design-cma_debiased", "morph-design-drift", "morph-design-gradient",
+        "direct", "no_hw_opt", "cmaes_rl", "transform2act", "value_gradient",
     }  # fmt: skip
 
 
@@ -134,9 +134,9 @@ def test_a_setting_that_does_nothing_says_where_it_does_something() -> None:
         make_method("morph", settings={"exploration": "gaussian", "exploration.kappa": 1.0})
     with pytest.raises(ValueError, match=r'^"search\.ridge" does nothing for direct, only for morph; choose from'):
         make_method("direct", settings={"search.ridge": 2.5})
-    with pytest.raises(ValueError, match=r'^"freeze_success" does nothing for no_hw_opt, only for morph or direct; '):
+    with pytest.raises(ValueError, match=r'^"freeze_success" does nothing for no_hw_opt, only for morph or direct'):
         make_method("no_hw_opt", settings={"freeze_success": 0.5})
-    with pytest.raises(ValueError, match=r'^"step" does nothing for morph, only for direct; '):
+    with pytest.raises(ValueError, match=r'^"step" does nothing for morph, only for direct or value_gradient; '):
         make_method("morph", settings={"step": 0.5})
 
 
@@ -153,7 +153,7 @@ def test_a_part_that_leaves_no_choice_says_what_is_in_it() -> None:
 
 @pytest.mark.parametrize("wanted", [None, 5, ["cma"], "newton", ""])
 def test_a_choice_that_is_none_lists_the_choices(wanted: object) -> None:
-    with pytest.raises(ValueError, match=r"^unknown search \".*\"; choose from: cma, drift, gradient$"):
+    with pytest.raises(ValueError, match=r"^unknown search \".*\"; choose from: cma, cma_debiased, drift, gradient$"):
         make_method("morph", settings={"search": wanted})
 
 

@@ -37,6 +37,13 @@ def test_the_preset_paper_is_algorithm_1() -> None:
     assert method.freeze_success == 0.8
 
 
+@pytest.mark.parametrize("task", ["pen_press", "mouse_click"])
+def test_on_the_hands_the_preset_paper_is_cma_es_too_but_not_drawn_by_contact(task: str) -> None:
+    method: Any = make_method(None, make_task(task), preset="paper")
+    assert (method.exploration.name, method.search.name) == ("design", "cma_debiased")
+    assert (method.design_interval, method.exploration.kappa) == (4, 3.0)
+
+
 @given(
     projection=st.sampled_from(["none", "one_sided", "as_printed"]), alpha=st.floats(0, 10), pairs=st.integers(1, 99)
 )

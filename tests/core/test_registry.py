@@ -135,7 +135,8 @@ def test_an_installed_search_is_chosen_and_set_like_our_own(install: Install, mo
     assert (method.search.name, method.search.damping) == ("newton", 2.0)
     with pytest.raises(ValueError, match=r"^search\.damping must be positive, not -1"):
         make_method("morph", settings={"search": "newton", "search.damping": -1})
-    with pytest.raises(ValueError, match=r'unknown search "hill"; choose from: cma, drift, gradient, newton$'):
+    choices = "cma, cma_debiased, drift, gradient, newton"
+    with pytest.raises(ValueError, match=f'unknown search "hill"; choose from: {choices}$'):
         make_method("morph", settings={"search": "hill"})
     with pytest.raises(ValueError, match=r'"search\.damping" does nothing with search cma, only with newton; choose'):
         make_method("morph", settings={"search.damping": 2})

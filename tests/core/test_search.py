@@ -16,12 +16,13 @@ from morph_core.hw_nn import HwNN
 from morph_core.methods.proxy import Morph
 from morph_core.search import Dataset, Memory, Search, derive_design, relabel
 from morph_core.searches.cma import Cma
-from morph_core.searches.drift import Drift, Twin
+from morph_core.searches.drift import Drift
 from morph_core.searches.gradient import Gradient
 from morph_core.spread import Spread
 from morph_core.state import start as start_of_run
 from morph_core.task import Hardware, Task
 from morph_core.tasks.reacher import LINKS, Reacher
+from morph_core.twin import Twin
 from tests.core.conftest import small_method
 
 lengths = st.lists(st.floats(0.05, 5.0), min_size=LINKS, max_size=LINKS).map(np.array)
@@ -192,8 +193,8 @@ def test_a_candidate_that_can_not_be_simulated_is_as_far_as_the_farthest_that_ca
     assert np.isfinite(half_lost.cost)
 
 
-@pytest.mark.parametrize("search", ["cma", "gradient", "drift"])
-def test_the_dataset_is_what_the_proxy_says_and_drift_alone_knows_how_far_it_was_drawn(search: str) -> None:
+@pytest.mark.parametrize("search", ["cma", "cma_debiased", "gradient", "drift"])
+def test_the_dataset_is_what_the_proxy_says_and_a_twin_knows_how_far_it_was_drawn(search: str) -> None:
     task, method = Reacher(), small_method("morph", {"search": search})
     state = start_of_run(task, method, 0)
     with torch.no_grad():
@@ -201,7 +202,7 @@ def test_the_dataset_is_what_the_proxy_says_and_drift_alone_knows_how_far_it_was
     rollout = run_trajectories(task, state, task.hw_phy(state.phi), method.trajectories)
     dataset = relabel(rollout, state.hw_nn, 50, state.rng)
     assert np.array_equal(dataset.z, state.hw_nn(dataset.s, dataset.a))
-    assert isinstance(state.memory, Twin) == (search == "drift")
+    assert isinstance(state.memory, Twin) == (search in ("drift", "cma_debiased"))
     if isinstance(state.memory, Twin):
         drift = state.memory.drift(dataset)
         assert np.array_equal(dataset.z - drift, state.memory.reference(dataset.s, dataset.a))

@@ -10,10 +10,11 @@ import pytest
 from morph_core.design import DesignSpace
 from morph_core.search import Dataset, Memory, Physics, Problem, Search, derive_design, relabel
 from morph_core.searches.cma import Cma
-from morph_core.searches.drift import Drift, Twin
+from morph_core.searches.drift import Drift
 from morph_core.searches.gradient import Gradient
 from morph_core.spread import Spread
 from morph_core.task import Task
+from morph_core.twin import Twin
 from tests.core.scales import Multiplied, Scales, proxy, replaced, started, tensor, trajectories, weights_of
 
 SPACE = Scales().design_space

@@ -11,9 +11,11 @@ from tests.core.scales import Scales, started
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.9, 1.0])
 @pytest.mark.parametrize("grouped", [False, True])
 def test_noise_has_variance_1_and_a_group_has_the_said_share_in_common(correlation: float, grouped: bool) -> None:
-    noise = Spread(1.0, correlation).noise(Scales(grouped=grouped).design_space, 40000, np.random.default_rng(0))
+    space, spread = Scales(grouped=grouped).design_space, Spread(1.0, correlation)
+    noise = spread.noise(space, 40000, np.random.default_rng(0))
     assert np.allclose(noise.mean(0), 0, atol=0.02)
     expected = np.eye(2) + correlation * grouped * (1 - np.eye(2))
+    assert np.allclose(spread.correlations(space), expected)
     assert np.allclose(np.cov(noise.T), expected, atol=0.02)
 
 

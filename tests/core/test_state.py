@@ -9,8 +9,8 @@ import torch
 from morph_core.catalogue import make_task
 from morph_core.hw_nn import HwNN
 from morph_core.search import Memory
-from morph_core.searches.drift import Twin
 from morph_core.state import State, start
+from morph_core.twin import Twin
 from tests.core.conftest import SMALL, small_method
 
 TASK = make_task("reacher")

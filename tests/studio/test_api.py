@@ -111,7 +111,7 @@ def test_a_hand_says_what_it_can_be_run_with(served: Served) -> None:
     hand = tasks["pen_press"]
     settings = {field["name"]: field for field in hand["settings"]["morph"]}
     assert (settings["exploration"]["choices"], hand["z_unit"]) == (["design"], "")
-    assert settings["search"]["choices"] == ["cma", "drift"]  # its Hw-Phy has no gradient
+    assert settings["search"]["choices"] == ["cma", "cma_debiased", "drift"]  # its Hw-Phy has no gradient
     options = {option["name"]: option for option in hand["options"]}
     assert options["grasp"]["choices"] == ["any_two", "two_besides_presser"]
     assert all(option["doc"] for option in options.values())  # those that it has from the common hand too
