@@ -81,7 +81,9 @@ _.RandomWalk
 _.Reacher
 _.Scatter
 _.Throw
+_.Transform2Act
 _.Uniform
+_.ValueGradient
 
 # Python and torch ask for these.
 _.__dir__
