@@ -38,7 +38,7 @@ PRESETS: Mapping[str, Preset] = {
         ),
         Preset(
             "paper",
-            "Algorithm 1: trajectories in the proxy's world (of the hands: on Hw-Phy), CMA-ES, projection.",
+            "Algorithm 1: trajectories in the proxy's world, CMA-ES, projection (hands: on Hw-Phy, none projected).",
             "morph",
             # phi has to be frozen on success: among episodes that all succeed, ranking moves it at random.
             {"exploration": "gaussian", "search": "cma", "projection": "one_sided", "freeze_success": 0.8},
@@ -50,7 +50,7 @@ PRESETS: Mapping[str, Preset] = {
                 "design_interval": 4,
                 "exploration.kappa": 3.0,
                 "freeze_success": 0.5,
-                "projection": "none",
+                "projection": "none",  # with one_sided a hand lost again what it had learned
             },
         ),
     )
