@@ -7,8 +7,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from morph_core.networks import Critic, Policy, minibatches
+from morph_core.networks import LARGEST_STD, SMALLEST_STD, Critic, Policy, log_normal, minibatches
 from morph_core.parts import Ppo, Schedule
+from morph_core.passes import Passes
 from morph_core.rollout import Rollout, advantages
 from morph_core.task import Task
 
@@ -32,6 +33,10 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def of(self, index: Tensor) -> "Batch":
+        """Return the steps with these indices (B',)."""
+        return Batch(*(column.index_select(0, index) for column in vars(self).values()))
 
 
 class Control:
@@ -79,36 +84,53 @@ class Control:
         standard = (counted - counted.mean()) / (counted.std() + 1e-8)
         return Batch(observation, time, action, log_prob, standard, target)
 
+    @torch.no_grad()
     def improve(self, batch: Batch, age: int, rng: np.random.Generator) -> None:
         """Take the gradient steps of one iteration, and keep the policy's std below its falling limit."""
         ppo, policy, critic = self._ppo, self.policy, self.critic
+        mean, value = Passes(policy.mean), Passes(critic.value)
+        of_policy, of_critic = list(policy.parameters()), list(critic.parameters())
         for _ in range(ppo.epochs):
             for index in minibatches(len(batch), ppo.minibatches, rng):
-                advantage = batch.advantage[index]
-                log_prob = policy.log_prob(batch.observation[index], batch.action[index])
-                ratio = (log_prob - batch.log_prob[index]).exp()
-                limited = ratio.clamp(1 - ppo.clip_coef, 1 + ppo.clip_coef)
-                surrogate = torch.min(ratio * advantage, limited * advantage).mean()
-                value_error = critic(batch.observation[index], batch.time[index]) - batch.value_target[index]
-                loss = 0.5 * (value_error**2).mean() - surrogate - ppo.entropy_coef * policy.log_std.sum()
-                self.optimizer.zero_grad()
-                loss.backward()
-                nn.utils.clip_grad_norm_(policy.parameters(), ppo.max_grad_norm)
-                nn.utils.clip_grad_norm_(critic.parameters(), 2 * ppo.max_grad_norm)
+                some = batch.of(index)
+                self._set_policy_gradient(mean, some)
+                value_error = value.forward(critic.told(some.observation, some.time)) - some.value_target[:, None]
+                value.backward(value_error * (1 / len(some)))  # of half the mean square
+                nn.utils.clip_grad_norm_(of_policy, ppo.max_grad_norm)
+                nn.utils.clip_grad_norm_(of_critic, 2 * ppo.max_grad_norm)
                 self.optimizer.step()
         policy.limit_std(self._schedule.geometric(ppo.std, ppo.std_end, age))
 
-    def value_slope(self, observation: np.ndarray, designs: np.ndarray) -> np.ndarray:
-        """Return dV/dphi (d,), averaged over episodes on `designs` (N, d) at their start.
+    def value_slope(self, observation: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        """Return dV/dphi (d,) of the critic's mean value at the start of episodes on phi (d,).
 
         `observation` (N, o) is what the task shows of their start states. ValueError for a policy that does not see
         phi.
         """
-        seen = torch.from_numpy(self.policy.phi_seen(designs)).requires_grad_()
-        value = self.critic(torch.cat([torch.from_numpy(observation), seen], 1), torch.zeros(len(seen)))
-        (slopes,) = torch.autograd.grad(value.sum(), seen)
+        seen = torch.from_numpy(self.policy.phi_seen(phi)).requires_grad_()
+        told = torch.cat([torch.from_numpy(observation), seen.expand(len(observation), -1)], 1)
+        value = self.critic(told, torch.zeros(len(told))).mean()
+        (slope,) = torch.autograd.grad(value, seen)
         lo, hi = self._task.design_space.hard_box
-        return slopes.numpy().mean(0, dtype=float) * 2 / (hi - lo)
+        return slope.numpy().astype(float) * 2 / (hi - lo)
+
+    def _set_policy_gradient(self, passes: Passes, batch: Batch) -> None:
+        """Set the gradient of PPO's loss, the negative clipped surrogate less the entropy bonus, in the policy."""
+        clip, log_std, advantage = self._ppo.clip_coef, self.policy.log_std, batch.advantage
+        mean, std = passes.forward(batch.observation), self.policy.std
+        ratio = (log_normal(batch.action, mean, std) - batch.log_prob).exp()
+        limited = ratio.clamp(1 - clip, 1 + clip)
+        # The smaller of both pulls; of two equal ones half, the other half being the limited one's, inside the clip.
+        pulls = torch.heaviside(limited * advantage - ratio * advantage, torch.tensor(0.5))
+        pulls.masked_fill_(limited == ratio, 1.0)
+        slope = advantage * (-1 / len(batch)) * ratio * pulls  # dL / dlog pi
+        slope = slope[:, None].repeat(1, mean.shape[1])  # for each action, as autograd adds them up
+        u = (batch.action - mean) / std  # dlog pi / dmean = u / std, dlog pi / dstd = (u^2 - 1) / std
+        pull = slope * u
+        passes.backward(pull / std)
+        of_std = (pull * (u / std)).sum(0) - slope.sum(0) / std
+        inside = (log_std.exp() >= SMALLEST_STD) & (log_std.exp() <= LARGEST_STD)
+        log_std.grad = of_std * inside * log_std.exp() - self._ppo.entropy_coef
 
     def learn(self, state: "State", rollout: Rollout, iteration: int) -> np.ndarray:
         """Line 3 for theta: learn from a rollout, and start afresh after being stuck for too long.

@@ -116,7 +116,12 @@ class Critic(nn.Module):
 
     def forward(self, observation: Tensor, time: Tensor) -> Tensor:
         """Return values (...) for observations (..., o) at times (...) in [0, 1)."""
-        return self.value(torch.cat([observation, time[..., None]], -1))[..., 0]
+        return self.value(self.told(observation, time))[..., 0]
+
+    @staticmethod
+    def told(observation: Tensor, time: Tensor) -> Tensor:
+        """Return what the critic's network sees (..., o + 1) of observations (..., o) at times (...)."""
+        return torch.cat([observation, time[..., None]], -1)
 
 
 class Proxy(nn.Module):

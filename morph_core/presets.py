@@ -38,7 +38,7 @@ PRESETS: Mapping[str, Preset] = {
         ),
         Preset(
             "paper",
-            "Algorithm 1: trajectories in the proxy's world, CMA-ES, projection (hands: on Hw-Phy, none projected).",
+            "Algorithm 1 with CMA-ES: trajectories in the proxy's world, projection (of the hands: neither).",
             "morph",
             # phi has to be frozen on success: among episodes that all succeed, ranking moves it at random.
             {"exploration": "gaussian", "search": "cma", "projection": "one_sided", "freeze_success": 0.8},

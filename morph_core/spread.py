@@ -88,3 +88,11 @@ def nearest_buildable(task: "Task", phi: np.ndarray, target: np.ndarray) -> np.n
             return target
         target = (phi + target) / 2
     return phi
+
+
+def drawn_back(task: "Task", phi: np.ndarray, designs: np.ndarray) -> np.ndarray:
+    """Return designs (N, d); each that can't be built is its nearest point halved back towards phi (d,) that can."""
+    built = designs.copy()
+    for index in np.flatnonzero(~task.buildable(designs)):
+        built[index] = nearest_buildable(task, phi, designs[index])
+    return built

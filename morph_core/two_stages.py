@@ -171,7 +171,7 @@ class TwoStageControl(Control):
             design_advantage=of_design, design_target=target,
         )  # fmt: skip
 
-    def improve(self, batch: Batch, age: int, rng: np.random.Generator) -> None:
+    def improve_both(self, batch: TwoStageBatch, age: int, rng: np.random.Generator) -> None:
         """Take the gradient steps of one iteration over both stages, and keep the policy's std below its limit."""
         ppo = self._ppo
         for _ in range(ppo.epochs):
@@ -184,7 +184,7 @@ class TwoStageControl(Control):
                 self.optimizer.step()
         self.policy.limit_std(self._schedule.geometric(ppo.std, ppo.std_end, age))
 
-    def _loss(self, batch: Batch, index: Tensor) -> Tensor:
+    def _loss(self, batch: TwoStageBatch, index: Tensor) -> Tensor:
         """Return PPO's loss, the mean over rows of either stage."""
         rows, clip = len(batch.time), self._ppo.clip_coef
         i, design = index[index < rows], index[index >= rows] - rows
@@ -201,14 +201,14 @@ class TwoStageControl(Control):
                 value - batch.design_target[design],
             ]
         )
-        entropy = self.policy.log_std.sum() + self.design_policy.log_std[batch.free].sum()
+        entropy = self.policy.log_std.sum()  # of actions alone: there are so few designs that it would outweigh them
         return 0.5 * (value_error**2).mean() - surrogate - self._ppo.entropy_coef * entropy
 
     def learn_both(self, state: "State", rollout: Rollout, step: np.ndarray, iteration: int) -> None:
         """Learn from a rollout and the steps (N, d) that led to its designs, and start afresh after being stuck for too
         long."""
         batch = self.two_stages(rollout, step, state.design_space.free)
-        self.improve(batch, iteration - state.control_start, state.rng)
+        self.improve_both(batch, iteration - state.control_start, state.rng)
         self._restart_where_stuck(state, rollout, iteration)
 
 

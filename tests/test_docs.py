@@ -81,7 +81,16 @@ def test_every_folder_that_the_readme_names_exists(folder: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/hands.md", "docs/cluster.md", "docs/decisions.md"]
+    "page",
+    [
+        "README.md",
+        "CONTRIBUTING.md",
+        "CHANGELOG.md",
+        "docs/cluster.md",
+        "docs/comparison.md",
+        "docs/hands.md",
+        "docs/decisions.md",
+    ],
 )
 def test_every_file_that_is_linked_exists(page: str) -> None:
     linked = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text())

@@ -5,13 +5,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-import numpy as np
 from msgspec import Meta
 
 from morph_core.exploration import run_trajectories
 from morph_core.method import Method
 from morph_core.protocol import Progress
-from morph_core.spread import nearest_buildable
+from morph_core.spread import drawn_back, nearest_buildable
 from morph_core.task import Task
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ class Transform2Act(Method):
     reduce to one network each for design, control and value. PPO's settings, networks and observations are those of
     the other methods here, so gamma and learning rates are the task's, not .995 and 5e-5, and episodes are as many
     every iteration, not 50 thousand steps of them. The standard deviation of the actions falls by schedule, that of the
-    design is learnt as in the original.
+    design is learnt as in the original. The first action is not counted as an environment step: nothing is simulated.
 
     Bounds, locks and designs that a user sets are obeyed from the next iteration on: steps begin elsewhere, so that the
     mean step leads to where the design was moved. A design that can't be built is drawn back towards phi until it can.
@@ -73,10 +72,7 @@ class Transform2Act(Method):
             head.lead_to(space, state.phi)
             state.set_learning_rates(self, iteration)
             step = head.draw(self.trajectories, state.rng)
-            designs = design_of(space, head.start.numpy() + step)
-            for i in np.flatnonzero(~task.buildable(designs)):
-                designs[i] = nearest_buildable(task, state.phi, designs[i])
-            state.explored = designs
+            designs = state.explored = drawn_back(task, state.phi, design_of(space, head.start.numpy() + step))
             rollout = run_trajectories(task, state, task.hw_phy(designs), self.trajectories, designs)
             if not rollout.holds_enough:
                 yield state.advance(iteration, rollout)

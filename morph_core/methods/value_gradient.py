@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from morph_core.exploration import run_trajectories
 from morph_core.method import Method
 from morph_core.parts import Schedule
 from morph_core.protocol import Progress
-from morph_core.spread import nearest_buildable
+from morph_core.spread import drawn_back, nearest_buildable
 from morph_core.task import Task
 
 if TYPE_CHECKING:
@@ -49,11 +49,10 @@ class ValueGradient(Method):
     designs and frozen, and only then climbed; here one budget pays for both, as in the other methods: after a short
     wait phi takes a step an iteration, and the designs are drawn from a window of the box that begins as the whole of
     it and narrows around phi. There a penalty holds phi near a reference design; here the step has a length of its own,
-    whatever the slope, and the box is the only limit. There the value is averaged over a fixed bank of states, at one
-    design; here over the start states of the iteration, each with the design of its episode, or all with the present
-    phi. There one network for many robots reads a description of every joint, and control gains are design as well;
-    here the parameters of one robot, scaled to its box, stand beside the observation of the plain network that all
-    methods here have.
+    whatever the slope, and the box is the only limit. There the value is averaged over a fixed bank of states, here
+    over the start states of the iteration. There one network for many robots reads a description of every joint, and
+    control gains are design as well; here the parameters of one robot, scaled to its box, stand beside the observation
+    of the plain network that all methods here have.
 
     Bounds and locks that a user edits are obeyed from the next iteration on, and phi goes on from an injected design.
     """
@@ -62,15 +61,12 @@ class ValueGradient(Method):
     """Root mean square of a step of phi over the free parameters at the start, as a share of each parameter's range."""
     step_end: Fraction = 0.3
     """Step of phi at the end of the schedule, to which it falls geometrically, as a fraction of the first one."""
-    slope_at: Literal["window", "phi"] = "window"
-    """Designs at which the critic's slope is averaged over start states: `window` takes each episode's own, from which
-    the critic has just learnt, `phi` the present one."""
     wait: Share = 0.05
-    """Share of the schedule that is over before phi takes its first step: a critic that has learnt nothing says
-    nothing of phi."""
+    """Share of the schedule for which phi stays at the start, and where policy and critic start afresh: a critic that
+    has learnt nothing says nothing of phi."""
     freeze_success: Share = 0.9
     """Share of successful trajectories from which on phi is frozen and every episode runs on it; 0 never freezes it.
-    The step does not shrink where the critic's slope is small, and would move phi on for ever."""
+    The step does not shrink where the slope is small: without an end it leads away from a design that was found."""
     designs: Window = Window()
     """Window of the box from which the designs of the episodes are drawn."""
 
@@ -87,11 +83,10 @@ class ValueGradient(Method):
             rollout = run_trajectories(task, state, world, self.trajectories, state.explored)
             if rollout.holds_enough:
                 state.control.learn(state, rollout, iteration)
-                if not state.frozen and self.schedule.share(iteration) >= self.wait:
+                age = iteration - state.control_start
+                if not state.frozen and self.schedule.share(age) >= self.wait:
                     start = rollout.observation[0, :, : task.observation_size]
-                    explored = state.explored[rollout.kept]
-                    at = explored if self.slope_at == "window" else np.broadcast_to(state.phi, explored.shape)
-                    slope = state.control.value_slope(start, at)
+                    slope = state.control.value_slope(start, state.phi)
                     target = ascended(state.design_space, state.phi, slope, self._step(iteration))
                     state.phi = nearest_buildable(task, state.phi, target)
             yield state.advance(iteration, rollout, self.freeze_success)
@@ -110,10 +105,7 @@ def designs_in_window(task: Task, state: "State", width: float, count: int) -> n
     size = width * (space.hi - space.lo)
     low = np.clip(phi - size / 2, space.lo, space.hi - size)
     half = state.rng.random((count // 2, len(space)))
-    designs = space.clip(low + size * np.concatenate([half, 1 - half]))
-    for index in np.flatnonzero(~task.buildable(designs)):
-        designs[index] = nearest_buildable(task, phi, designs[index])
-    return designs
+    return drawn_back(task, phi, space.clip(low + size * np.concatenate([half, 1 - half])))
 
 
 def ascended(space: DesignSpace, phi: np.ndarray, slope: np.ndarray, step: float) -> np.ndarray:

@@ -100,7 +100,7 @@ class Tunnel:
                 before = x < bend_x
                 height = y[:-1] + (bend_x - x[:-1]) / run * rise
                 touches[1:] |= (before[1:] != before[:-1]) & (np.abs(height - bend_y) - half_gap >= limit)
-        return touches.any(0)
+        return np.any(touches, axis=0)
 
     def deepest(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return where (N, 2) each outline of joined points (P, N) is deepest in a wall."""
@@ -339,7 +339,7 @@ class Reacher(Settings, Task):
                 part = (posture - (begin - 1)[of]).astype(np.float32) / n[of]
                 which = near[of]
                 swept = _turned(pivot.take(which, 1), carried.take(which, 2), part * angle[j].take(which))
-                touches = self.walls.touches(*swept, TOLERANCE)
+                touches = self.walls.touches(swept[0], swept[1], TOLERANCE)
                 first = np.minimum.reduceat(np.where(touches, posture, end[-1]), begin)
                 done[j, near] = (np.minimum(first, end) - begin) / n
                 stopped = (first < end).nonzero()[0]
@@ -392,8 +392,10 @@ class Reacher(Settings, Task):
     def _contact(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return where outlines (P, N) are deepest in a wall: (N, 3) m, NaN where x is."""
         contact = np.full((x.shape[1], 3), np.nan)
-        hit = np.isfinite(x[0])
-        contact[hit] = np.pad(self.walls.deepest(x[:, hit], y[:, hit]), ((0, 0), (0, 1)))
+        hit = np.isfinite(x[0]).nonzero()[0]
+        if len(hit):
+            contact[hit, :2] = self.walls.deepest(x[:, hit], y[:, hit])
+            contact[hit, 2] = 0.0
         return contact
 
     def _outline(self, hardware: Hardware, s: np.ndarray, a: np.ndarray) -> np.ndarray:

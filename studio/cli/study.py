@@ -82,7 +82,7 @@ class StudyArguments:
     report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Write the report of the study in DIR, however far it is."""
     table: Annotated[Path | None, tyro.conf.arg(metavar="FILE.md")] = None
-    """With --report: write the study's tables into this document instead, where it has a place for them."""
+    """Document into whose places for tables --report writes those of the study, in place of a report."""
     json: bool = False
     """Print one JSON document at the end and nothing else."""
 

@@ -23,7 +23,8 @@ def make_launcher(name: str, slots: int | None = None, options: SlurmOptions | N
         raise ValueError("--slots goes with --launcher local; --parallel caps the runs at a time of --launcher slurm")
     if name != Slurm.name and options != SlurmOptions():
         raise ValueError("--partition, --time, --account, --constraint, --mem and --parallel go with --launcher slurm")
-    launcher = Slurm(options) if name == Slurm.name else Local() if slots is None else Local(slots)
+    given = (options,) if name == Slurm.name else () if slots is None else (slots,)
+    launcher = LAUNCHERS[name](*given)  # pyright: ignore[reportCallIssue]
     launcher.check()
     return launcher
 

@@ -8,6 +8,8 @@ import tyro
 
 MOST_AT_ONCE = 1000
 """Largest cap that can be asked for."""
+SHORTEST_LIMIT = 300
+"""Smallest time limit in seconds: Slurm may warn a minute early, and a trainer needs time to load and to learn."""
 WARNING_SECONDS = 120
 """How long before the time limit a trainer is told to save, or a quarter of the limit if that is shorter."""
 
@@ -59,7 +61,7 @@ _TIME = re.compile(
 
 
 def seconds_of(limit: str) -> int:
-    """Return a time limit in seconds; ValueError that says what is allowed if it can't be read or is below a minute."""
+    """Return a time limit in seconds; ValueError that says what is allowed if it can't be read or is too short."""
     match = _TIME.fullmatch(limit)
     part = {name: int(text) for name, text in match.groupdict(default="0").items()} if match else {}
     seconds = sum(
@@ -67,9 +69,9 @@ def seconds_of(limit: str) -> int:
         for unit, names in ((86400, ("days",)), (3600, ("dh", "h")), (60, ("dm", "m", "minutes")), (1, ("ds", "s")))
         for name in names
     )
-    if seconds < 60:
+    if seconds < SHORTEST_LIMIT:
         raise ValueError(
-            "time must be at least a minute, as MINUTES, HOURS:MINUTES:SECONDS or DAYS-HOURS:MINUTES:SECONDS, "
+            "time must be at least 5 minutes, as MINUTES, HOURS:MINUTES:SECONDS or DAYS-HOURS:MINUTES:SECONDS, "
             f'not "{limit[:40]}"'
         )
     return seconds

@@ -33,8 +33,9 @@ from morph_core.state import start
 from morph_core.task import Task
 
 DESIGNS = {"reacher": (2.6, 0.6, 2.9, 1.3, 1.0)}
-"""Designs on which a task can be learnt, where its initial one is none: the reacher's is what `morph` found."""
 OPTIONS = {"pen_press": {"initial_length": 0.26}, "mouse_click": {"initial_length": 0.26}}
+"""Designs on which the tasks can be learnt, which their initial ones are not: about what `morph` found for the reacher,
+and for the hands fingers of .26 m."""
 EVALUATED = 256
 """Episodes per evaluation."""
 Side = Literal["ours", "Stable-Baselines3"]
@@ -52,10 +53,6 @@ class Peers:
     """Iterations per run, each as many steps as our trajectories have at most."""
     interval: int = 5
     """Iterations between two evaluations; 0 makes none."""
-    phi: tuple[float, ...] = ()
-    """The design; by default one with which the task can be learnt."""
-    option: dict[str, Any] = field(default_factory=dict)
-    """Task options; by default, hands have fingers of .26 m."""
     core: int = 0
     """The core that both sides run on."""
     out: Path | None = None
@@ -90,8 +87,8 @@ class Problem:
 
     @classmethod
     def of(cls, peers: Peers) -> "Problem":
-        task = make_task(peers.task, peers.option or OPTIONS.get(peers.task, {}))
-        phi = np.array(peers.phi or DESIGNS.get(peers.task, task.design_space.initial))
+        task = make_task(peers.task, OPTIONS.get(peers.task, {}))
+        phi = np.array(DESIGNS.get(peers.task, task.design_space.initial))
         return cls(task, make_method("no_hw_opt", task), phi)
 
     def evaluate(self, run: Run, act: Act) -> None:
@@ -107,7 +104,6 @@ class TaskVecEnv(VecEnv):
     def __init__(self, problem: Problem, seed: int) -> None:
         self._task, self._rng = problem.task, np.random.default_rng(seed)
         self._hw_phy = problem.task.hw_phy(problem.phi)
-        self._one = problem.task.hw_phy(problem.phi)
         size = problem.task.observation_size + 1
         space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
         super().__init__(problem.method.trajectories, space, action_space(problem.task))
@@ -125,7 +121,7 @@ class TaskVecEnv(VecEnv):
         self._s, self._t = transition.s, self._t + 1
         ended = transition.terminated | transition.diverged | (self._t >= self._task.horizon)
         if ended.any():
-            self._s[ended] = self._task.reset(self._one, int(ended.sum()), self._rng)
+            self._s[ended] = self._task.reset(self._hw_phy, int(ended.sum()), self._rng)
             self._t[ended] = 0
         return self._observe(), transition.reward, ended, [{}] * self.num_envs
 
@@ -234,8 +230,6 @@ def timed_policy(model: PPO, horizon: int) -> Act:
 def run_apart(peers: Peers, side: Side, seed: int) -> Run:
     """Make a run in a process of its own, on one core."""
     words = ["--seeds", seed, "--iterations", peers.iterations, "--interval", peers.interval, "--side", side]
-    words += ["--phi", *peers.phi] if peers.phi else []
-    words += ["--option", *(word for pair in peers.option.items() for word in pair)] if peers.option else []
     command = ["taskset", "--cpu-list", peers.core, sys.executable, __file__, peers.task, *words]
     done = subprocess.run([str(word) for word in command], check=True, stdout=subprocess.PIPE, text=True)
     return Run(**json.loads(done.stdout))

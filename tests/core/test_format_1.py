@@ -46,7 +46,10 @@ OLD_DEFAULTS: dict[str, Any] = {
     "drift_designs": 24, "drift_ridge": 0.2, "drift_limit": 1.5, "evaluation_interval": 5, "evaluation_episodes": 128,
 }  # fmt: skip
 """Every field that settings had in format 1."""
-ONCE_FIXED = {"proxy.prefit_pairs": 512, "proxy.prefit_learning_rate": 2e-3, "search.steps": 200}
+ONCE_FIXED = {
+    "proxy.prefit_pairs": 512, "proxy.prefit_learning_rate": 2e-3, "search.steps": 200, "search.groups": 1,
+    "exploration.finish": "policy_and_proxy",
+}  # fmt: skip
 """What could not be set in format 1 -> what it was."""
 
 _TINY: dict[str, Any] = {

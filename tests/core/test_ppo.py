@@ -123,14 +123,19 @@ def test_a_smaller_std_is_left_as_it_is() -> None:
     assert state.control.policy.std.tolist() == pytest.approx([0.1] * 2)
 
 
-def test_every_pass_takes_a_step_per_minibatch_and_sees_every_sample_once() -> None:
+def test_every_pass_takes_a_step_per_minibatch_and_sees_every_sample_once(monkeypatch: pytest.MonkeyPatch) -> None:
     state = started(replaced(ppo=dataclasses.replace(BATCH_OF_ALL, epochs=2, minibatches=3)), rate=0.01)
     seen: list[float] = []
     steps: list[int] = []
     state.control.optimizer.register_step_post_hook(lambda *_: steps.append(1))
-    state.control.critic.register_forward_hook(lambda _, given, __: seen.extend(given[0][:, 0].tolist()))
+    of = Batch.of
+
+    def noted(batch: Batch, index: torch.Tensor) -> Batch:
+        seen.extend(of(batch, index).observation[:, 0].tolist())
+        return of(batch, index)
+
+    monkeypatch.setattr(Batch, "of", noted)
     batch = batch_of(state, observation=[[float(i)] for i in range(7)])
-    seen.clear()
     state.control.improve(batch, 1, state.rng)
     assert len(steps) == 2 * 3
     assert sorted(seen[:7]) == sorted(seen[7:]) == [0, 1, 2, 3, 4, 5, 6]

@@ -34,6 +34,15 @@ def test_depth_is_that_of_a_dense_sampling(name: str, seed: int) -> None:
         assert exact == pytest.approx(sampled, abs=0.02)
 
 
+@settings(max_examples=60)
+@given(st.sampled_from(sorted(TUNNELS)), seeds, st.sampled_from([np.float32, np.float64]), st.floats(-0.5, 0.5))
+def test_what_touches_is_as_deep_as_the_limit(name: str, seed: int, kind: type, limit: float) -> None:
+    tunnel, rng = TUNNELS[name], np.random.default_rng(seed)
+    x, y = rng.uniform(-1, 8, (2, 6, 50)).astype(kind)
+    x[rng.random(x.shape) < 0.2] = rng.choice(tunnel.xs)  # on a bend, or upright
+    assert np.array_equal(tunnel.touches(x, y, limit), tunnel.depth(x, y) >= limit)
+
+
 def test_a_point_on_the_centre_line_is_free_and_one_beyond_the_gap_is_not() -> None:
     tunnel = TUNNELS["zigzag"]
     for height, expected in ((4.2, -0.55), (4.2 + 0.6, 0.05), (4.2 - 0.6, 0.05)):

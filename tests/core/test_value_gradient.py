@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +21,6 @@ from morph_core.parts import Schedule
 from morph_core.protocol import InjectDesign, Lock, Progress, SetBound, Unlock
 from morph_core.rollout import Rollout
 from morph_core.state import State, start
-from morph_core.task import Hardware, Transition
 from morph_core.train import Trainer, apply_edit
 from tests.core.conftest import make_run, small_method
 from tests.core.scales import TINY, Scales, linear, plain
@@ -144,21 +143,21 @@ class Bent(nn.Module):
 
 def test_the_slope_of_a_linear_critic_is_its_weights_in_units_of_phi() -> None:
     state = with_critic([3.0, -4.0])
-    slope = state.control.value_slope(np.ones((5, 1), np.float32), np.tile([7.0, 1.0], (5, 1)))
+    slope = state.control.value_slope(np.ones((5, 1), np.float32), np.array([7.0, 1.0]))
     assert slope == pytest.approx([3 / 20, -4 / 20])  # phi is seen from -1 to 1, over 40
 
 
-def test_the_slope_is_the_mean_of_those_at_each_start_state_and_its_design() -> None:
+def test_the_slope_is_that_at_phi_averaged_over_the_start_states() -> None:
     state = begun()
     state.control.critic.value = Bent()  # pyright: ignore[reportAttributeAccessIssue]
-    observation, designs = np.array([[1.0], [6.0]], np.float32), np.array([[10.0, 0.0], [-5.0, 3.0]])
-    first = (1.0 * 2 * 0.5 + 6.0 * 2 * -0.25) / 2  # at the start, where t is 0
-    assert state.control.value_slope(observation, designs) == pytest.approx([first / 20, 1 / 20])
+    observation = np.array([[1.0], [2.0], [6.0]], np.float32)
+    slope = state.control.value_slope(observation, np.array([10.0, 0.0]))
+    assert slope == pytest.approx([3.0 * 2 * 0.5 / 20, 1 / 20])  # at the start, where t is 0
 
 
 def test_asking_for_the_slope_leaves_the_critic_as_it_is() -> None:
     state = begun()
-    state.control.value_slope(np.ones((3, 1), np.float32), np.zeros((3, 2)))
+    state.control.value_slope(np.ones((3, 1), np.float32), np.zeros(2))
     assert all(parameter.grad is None for parameter in state.control.critic.parameters())
 
 
@@ -222,32 +221,28 @@ def test_phi_waits_for_the_critic() -> None:
     assert phi[3][0] > 2.0
 
 
-@pytest.mark.parametrize("slope_at", ["window", "phi"])
-def test_the_slope_is_taken_at_the_explored_designs_or_at_phi_with_each_start_state(
-    slope_at: Literal["window", "phi"], monkeypatch: pytest.MonkeyPatch
+def test_phi_waits_for_a_critic_that_has_started_afresh() -> None:
+    method = dataclasses.replace(PEER, wait=0.3)
+    state = with_critic([1.0, 1.0], method)
+    state.control_start = 2
+    phi = [p.phi for p in run(6, state, method=method)]
+    assert phi[:5] == [[2.0, 2.0]] * 5
+    assert phi[5][0] > 2.0
+
+
+def test_the_slope_is_taken_at_the_present_phi_and_the_start_states_of_the_iteration(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     state = begun()
-    asked: list[tuple[np.ndarray, np.ndarray]] = []
-    monkeypatch.setattr(state.control, "value_slope", lambda *given: asked.append(given) or np.ones(2))
-    run(1, state, method=dataclasses.replace(PEER, slope_at=slope_at))
-    ((observation, designs),) = asked
-    assert observation.tolist() == [[1.0]] * 4
-    assert state.explored is not None
-    assert designs.tolist() == (state.explored.tolist() if slope_at == "window" else [[2.0, 2.0]] * 4)
+    asked: list[tuple[list[object], list[float]]] = []
 
+    def noted(observation: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        asked.append((observation.tolist(), phi.tolist()))
+        return np.ones(2)
 
-def test_designs_whose_simulation_diverges_say_nothing_of_the_slope(monkeypatch: pytest.MonkeyPatch) -> None:
-    @dataclass(frozen=True)
-    class Half(Scales):
-        def step(self, hardware: Hardware, s: np.ndarray, action: np.ndarray) -> Transition:
-            return dataclasses.replace(super().step(hardware, s, action), diverged=np.arange(len(s)) % 2 == 0)
-
-    state = begun()
-    asked: list[np.ndarray] = []
-    monkeypatch.setattr(state.control, "value_slope", lambda *given: asked.append(given[1]) or np.ones(2))
-    run(1, state, Half(largest=20.0))
-    assert state.explored is not None
-    assert asked[0].tolist() == state.explored[1::2].tolist()
+    monkeypatch.setattr(state.control, "value_slope", noted)
+    run(1, state)
+    assert asked == [([[1.0]] * 4, [2.0, 2.0])]
 
 
 def test_a_step_that_cant_be_built_is_halved() -> None:

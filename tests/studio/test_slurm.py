@@ -218,7 +218,7 @@ def test_no_study_is_written_where_slurm_refuses(
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"time": "tomorrow"}, "MINUTES"), ({"time": "00:00:59"}, "at least a minute"), ({"time": "-1"}, "MINUTES"),
+        ({"time": "tomorrow"}, "MINUTES"), ({"time": "00:04:59"}, "at least 5 minutes"), ({"time": "-1"}, "MINUTES"),
         ({"mem": "lots"}, "K, M, G or T"), ({"mem": "-1G"}, "K, M, G or T"), ({"parallel": 0}, "from 1 to 1000"),
         ({"parallel": 1001}, "from 1 to 1000"), ({"partition": " "}, "not empty"), ({"account": "a\nb"}, "printable"),
         ({"constraint": "x" * 201}, "at most 200"),
@@ -238,15 +238,15 @@ def test_a_time_limit_means_what_it_means_to_slurm(days: int, hours: int, minute
     written[f"{hours + 1}:{minutes}:{seconds}"] = ((hours + 1) * 60 + minutes) * 60 + seconds
     for limit, expected in written.items():
         assert expected is not None
-        if expected >= 60:
+        if expected >= 300:
             assert seconds_of(limit) == expected
         else:
-            with pytest.raises(ValueError, match="at least a minute"):
+            with pytest.raises(ValueError, match="at least 5 minutes"):
                 seconds_of(limit)
 
 
 def test_the_warning_comes_before_a_short_limit_and_not_at_its_start() -> None:
-    assert "--signal=B:USR1@15" in SlurmOptions(time="1").words()
+    assert "--signal=B:USR1@75" in SlurmOptions(time="5").words()
     assert "--signal=B:USR1@120" in SlurmOptions(time="1-0").words()
 
 

@@ -178,6 +178,14 @@ def test_a_baseline_that_is_missing_leaves_it_open_but_one_that_is_not_beaten_de
     assert decided.verdict == "not held"
 
 
+def test_being_better_by_chance_is_not_better() -> None:
+    (finding,) = BY_NAME["morph-beats-search"].findings(
+        of("reacher", morph=[0.0, 0.6, 0.6, 0.6], no_hw_opt=[0.0, 0.5, 0.7], cmaes_rl=[0.0] * 4)
+    )
+    assert finding.verdict == "not held"
+    assert "P(> no_hw_opt) = 0.54 [" in finding.measured
+
+
 def test_variants_that_differ_in_more_than_the_projection_are_no_pair() -> None:
     pair = projecting(BAD, GOOD)
     other = [

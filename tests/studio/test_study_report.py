@@ -14,7 +14,7 @@ from morph_core.protocol import Status
 from studio.cli import run
 from studio.cli import study as cli
 from studio.study import report
-from studio.study.plan import StudyError, Variant, parse_seeds, parse_task, parse_variant, plan_study, read_study
+from studio.study.plan import StudyError, parse_seeds, parse_task, parse_variant, plan_study, read_study
 from studio.study.report import write_report, write_tables_into
 from studio.study.report.claims import CLAIMS
 from studio.study.report.drawing import COLOURS, DASHES, INK, MARKERS, looks, slim
@@ -118,7 +118,8 @@ def test_figures_take_the_ink_of_the_page_and_have_no_ground_of_their_own(page: 
         assert "currentColor" in drawn
         assert INK not in drawn
         assert figure.get("aria-label")
-        assert not figure.get("width")
+        assert figure.get("width").isdecimal()
+        assert not figure.get("height")
 
 
 def test_a_standalone_figure_is_whole(written: Path) -> None:
@@ -149,7 +150,7 @@ def test_a_single_seed_has_no_interval_and_settles_no_claim(tmp_path: Path) -> N
     write_study(tmp_path / "study", MADE[2:5], [7], iterations=10)
     page = html.fromstring(quickly(tmp_path / "study").read_text())
     assert "1 seed (7)" in words(page)
-    assert "1 of the seeds has ended; 3 are needed" in words(page)
+    assert "seeds that have ended: 1; 3 are needed" in words(page)
     assert not page.xpath("//td[@class='held' or @class='not-held']")
 
 
@@ -219,6 +220,11 @@ def test_the_folder_of_a_report_gives_the_same_tables_as_the_study(written: Path
     assert fill(DOCUMENT, "mixed", read_tables(written.parent)) == fill(DOCUMENT, "mixed", read_results(study))
 
 
+def test_the_folder_of_a_report_is_no_study_to_report(written: Path) -> None:
+    with pytest.raises(StudyError, match="holds a report, without the runs of its study"):
+        write_report(written.parent)
+
+
 def test_a_document_without_a_place_is_told_how_to_make_one(written: Path, tmp_path: Path) -> None:
     document = tmp_path / "page.md"
     document.write_text("# nothing\n")
@@ -236,7 +242,8 @@ def test_a_document_without_a_place_is_told_how_to_make_one(written: Path, tmp_p
 
 
 def test_the_command_that_repeats_a_study_is_understood_by_the_command_line() -> None:
-    variants = [Variant("a: b,c", "morph", {"alpha": 0.3, "search": "drift"}), Variant("direct", "direct")]
+    words = ("slow:morph,alpha=0.3,search=drift", "paper,projection=none", "studio", "direct")
+    variants = [parse_variant(word) for word in words]
     study = plan_study([parse_task("reacher,tunnel=paper")], variants, [0, 1, 2, 5], env_steps=10**6, level=0.8)
     said = shlex.split(command_of(study))
     at = {name: said.index(name) for name in ("--methods", "--seeds", "--env-steps", "--level")}
@@ -244,7 +251,7 @@ def test_the_command_that_repeats_a_study_is_understood_by_the_command_line() ->
     assert parse_seeds(said[at["--seeds"] + 1]) == study.seeds
     assert float(said[at["--env-steps"] + 1]) == study.env_steps
     assert float(said[at["--level"] + 1]) == study.level
-    assert parse_variant(said[at["--methods"] + 2]) == variants[1]
+    assert [parse_variant(word) for word in said[at["--methods"] + 1 : at["--seeds"]]] == variants
 
 
 @pytest.mark.parametrize(("seeds", "said"), [([3], "3"), ([0, 1, 2], "0-2"), ([5, 0, 1, 9], "0-1,5,9"), ([], "")])
@@ -297,6 +304,7 @@ def test_the_tables_of_the_documents_are_those_of_the_committed_reports(folder: 
         found += count
     assert found
     assert read_study(folder).runs
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= 1_000_000
 
 
 # --- the command ------------------------------------------------------------------------------------------------------

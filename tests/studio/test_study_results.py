@@ -78,7 +78,7 @@ def test_the_run_is_solved_at_the_first_evaluation_at_the_level(tmp_path: Path) 
 
 def test_the_end_is_the_final_evaluation_whatever_comes_beside_it(tmp_path: Path) -> None:
     final = evaluation(4, 0.5, 0.25, final=True, episodes=256, milestones={"lifted": 0.75})
-    row = by_hand(tmp_path / "study", final, evaluation(4, 1.0, 1.0, episodes=64))
+    row = by_hand(tmp_path / "study", evaluation(4, 1.0, 1.0, episodes=64), final, evaluation(5, 1.0, episodes=64))
     assert (row.sampled_success, row.sampled_successes, row.deterministic_successes) == (0.5, 128, 64)
     assert row.end_is_final
     assert row.milestone("lifted") == 0.75

@@ -5,6 +5,8 @@ from pathlib import Path
 
 from studio.study.plan import StudyError
 
+RUNS = "runs.csv"
+"""Name of the table by which a report's folder is known."""
 NEEDED = ("jinja2", "matplotlib", "pyarrow", "scipy")
 
 
@@ -14,6 +16,8 @@ def write_report(directory: Path) -> Path:
     Raise StudyError if the folder holds no study, or if what the report is made with is not installed.
     """
     check_extra()
+    if (directory / RUNS).is_file():
+        raise StudyError(f"{directory} holds a report, without the runs of its study: give the folder of the study")
     from studio.study.report.write import write_report as write
 
     return write(directory)
@@ -29,7 +33,7 @@ def write_tables_into(directory: Path, document: Path) -> int:
     from studio.study.report.results import read_results
     from studio.study.report.tables import read_tables
 
-    results = read_tables(directory) if (directory / "runs.csv").is_file() else read_results(directory)
+    results = read_tables(directory) if (directory / RUNS).is_file() else read_results(directory)
     return write_into(document, directory.resolve().name, results)
 
 

@@ -32,7 +32,7 @@ class Finding:
     subject: str
     """The task and the variants that were looked at."""
     measured: str
-    """By how much, or why nothing can be said."""
+    """Words on how far the claim holds or fails, or on why nothing can be said."""
     seeds: int
     """Seeds that the finding rests on."""
 
@@ -75,9 +75,9 @@ def _subject(task: str, *variants: str) -> str:
     return f"{task}: {' / '.join(variants)}"
 
 
-def _too_few(task: str, variant: str, rows: list[RunRow]) -> Finding:
-    words = f"{len(rows)} of the seeds has ended" if len(rows) == 1 else f"{len(rows)} of the seeds have ended"
-    return Finding("not testable", _subject(task, variant), f"{words}; {FEWEST} are needed", len(rows))
+def _too_few(task: str, variant: str, rows: list[RunRow], which: str = "that have ended") -> Finding:
+    why = f"seeds {which}: {len(rows)}; {FEWEST} are needed"
+    return Finding("not testable", _subject(task, variant), why, len(rows))
 
 
 def _variants_of(results: Results, method: str) -> list[str]:
@@ -205,11 +205,11 @@ def cosine_is_negative(results: Results) -> Iterator[Finding]:
     """Look at the share of gradient steps with a negative cosine while phi moves."""
     for task in results.tasks:
         for variant in _variants_of(results, "morph"):
-            rows = results.ended(task, variant)
-            shares = [row.negative_share for row in rows if row.negative_share is not None]
-            if len(shares) < FEWEST:
-                yield _too_few(task, variant, [row for row in rows if row.negative_share is not None])
+            rows = [row for row in results.ended(task, variant) if row.negative_share is not None]
+            if len(rows) < FEWEST:
+                yield _too_few(task, variant, rows, "with a cosine")
                 continue
+            shares = [row.negative_share for row in rows if row.negative_share is not None]
             middle = float(np.median(shares))
             verdict = "held" if abs(middle - NEGATIVE_SHARE) <= NEGATIVE_TOLERANCE else "not held"
             measured = f"median {100 * middle:.0f} %, seeds {100 * min(shares):.0f} to {100 * max(shares):.0f} %"
@@ -222,7 +222,7 @@ def loss_and_cost_fall(results: Results) -> Iterator[Finding]:
         for variant in _variants_of(results, "morph"):
             rows = [row for row in results.ended(task, variant) if row.loss_and_cost_rank is not None]
             if len(rows) < FEWEST:
-                yield _too_few(task, variant, rows)
+                yield _too_few(task, variant, rows, "with both curves")
                 continue
             fell = sum(_falls_together(row) for row in rows)
             ranks = [row.loss_and_cost_rank for row in rows if row.loss_and_cost_rank is not None]
@@ -246,8 +246,7 @@ def _designs(
         for _, variant, rows in _on_tasks(results, "morph", (task,)):
             winners = [row for row in rows if row.ends_at(results.study.level)]
             if len(winners) < FEWEST:
-                why = f"{len(winners)} seeds solve the task; {FEWEST} are needed"
-                yield Finding("not testable", _subject(task, variant), why, len(winners))
+                yield _too_few(task, variant, winners, "that solve the task")
                 continue
             designs = chosen(results.designs, task, variant)
             count = sum(matches([d for d in designs if d.run == row.run]) for row in winners)

@@ -159,7 +159,7 @@ def command_of(study: Study) -> str:
 
 
 def _variant(variant: Variant) -> str:
-    word = _word(variant.method, variant.settings)
+    word = _word(variant.preset or variant.method, variant.settings)
     return word if word == variant.label else f"{variant.label}:{word}"
 
 

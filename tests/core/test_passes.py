@@ -1,0 +1,94 @@
+"""The gradients by hand are autograd's, to the last bit."""
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import nn
+
+from morph_core.control import Batch, Control
+from morph_core.networks import mlp
+from morph_core.parts import Ppo, Schedule
+from morph_core.passes import Passes
+from morph_core.tasks.reacher import Reacher
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def gradients(*modules: nn.Module) -> dict[str, torch.Tensor]:
+    named = (pair for module in modules for pair in module.named_parameters())
+    return {name: parameter.grad.clone() for name, parameter in named if parameter.grad is not None}
+
+
+def same(by_hand: dict[str, torch.Tensor], by_autograd: dict[str, torch.Tensor]) -> bool:
+    return all(torch.equal(by_hand[name], gradient) for name, gradient in by_autograd.items())
+
+
+@given(seeds, st.integers(1, 9), st.integers(1, 70), st.integers(1, 9), st.integers(1, 1030))
+@settings(max_examples=30, deadline=None)
+def test_both_passes_are_autograds(seed: int, inputs: int, hidden: int, outputs: int, size: int) -> None:
+    rng = torch.Generator().manual_seed(seed)
+    net = mlp(inputs, hidden, outputs, nn.Tanh, rng)
+    x, slope = torch.randn(size, inputs, generator=rng), torch.randn(size, outputs, generator=rng)
+    expected = net(x)
+    expected.backward(slope)
+    by_autograd = gradients(net)
+    with torch.no_grad():
+        passes = Passes(net)
+        assert torch.equal(passes.forward(x), expected)
+        passes.backward(slope)
+    assert same(gradients(net), by_autograd)
+
+
+def loss(control: Control, ppo: Ppo, batch: Batch) -> torch.Tensor:
+    """Return PPO's loss as Schulman et al. have it."""
+    ratio = (control.policy.log_prob(batch.observation, batch.action) - batch.log_prob).exp()
+    limited = ratio.clamp(1 - ppo.clip_coef, 1 + ppo.clip_coef)
+    surrogate = torch.min(ratio * batch.advantage, limited * batch.advantage).mean()
+    value_error = control.critic(batch.observation, batch.time) - batch.value_target
+    return 0.5 * (value_error**2).mean() - surrogate - ppo.entropy_coef * control.policy.log_std.sum()
+
+
+class Kept(torch.optim.SGD):
+    """An optimiser that only notes the gradients it is given."""
+
+    def step(self, closure: Any = None) -> None:
+        self.given = [p.grad.clone() for p in self.param_groups[0]["params"]]
+
+
+@given(
+    seed=seeds,
+    size=st.integers(2, 600),
+    spread=st.sampled_from([0.0, 0.01, 0.5, 3.0]),
+    entropy_coef=st.sampled_from([0.0, 0.003]),
+    std=st.sampled_from([0.01, 0.02, 0.5, 2.0, 3.0]),
+    on_the_clip=st.booleans(),
+)
+@settings(max_examples=60, deadline=None)
+def test_the_step_of_policy_and_critic_is_autograds(
+    seed: int, size: int, spread: float, entropy_coef: float, std: float, on_the_clip: bool
+) -> None:
+    ppo = Ppo(epochs=1, minibatches=1, entropy_coef=entropy_coef, max_grad_norm=1e9)
+    task, rng = Reacher(), torch.Generator().manual_seed(seed)
+    control = Control(task, ppo, Schedule(), 16, rng)
+    parameters = [*control.policy.parameters(), *control.critic.parameters()]
+    with torch.no_grad():
+        control.policy.log_std.fill_(math.log(std))
+        observation = torch.randn(size, task.observation_size, generator=rng)
+        action = control.policy.mean(observation) + torch.randn(size, task.action_size, generator=rng)
+        now = control.policy.log_prob(observation, action)
+        ratio = spread * torch.randn(size, generator=rng)
+        if on_the_clip:  # a last bit beyond it, where both pulls can be equal
+            ratio = torch.full((size,), math.log(1 + ppo.clip_coef)) + 1e-7 * torch.randn(size, generator=rng)
+    batch = Batch(
+        observation, torch.rand(size, generator=rng), action, now - ratio, *torch.randn(2, size, generator=rng)
+    )
+    order = torch.from_numpy(np.random.default_rng(seed).permutation(size))
+    loss(control, ppo, batch.of(order)).backward()
+    by_autograd = [p.grad.clone() for p in parameters]
+    control.optimizer = Kept(parameters)
+    control.improve(batch, 1, np.random.default_rng(seed))
+    assert all(torch.equal(a, b) for a, b in zip(control.optimizer.given, by_autograd, strict=True))
