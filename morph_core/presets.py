@@ -50,7 +50,7 @@ PRESETS: Mapping[str, Preset] = {
                 "design_interval": 4,
                 "exploration.kappa": 3.0,
                 "freeze_success": 0.5,
-                "projection": "none",
+                "projection": "none",  # with one_sided a hand lost again what it had learned
             },
         ),
     )

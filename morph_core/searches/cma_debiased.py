@@ -58,16 +58,15 @@ class CmaDebiased(Search):
         space, costs = problem.space, self.costs(problem)
         free, unit = space.free, problem.spread.sigma * space.scale
         whiten = np.linalg.cholesky(problem.spread.correlations(space)[np.ix_(free, free)])
-        axes = max(2, len(whiten))  # cma needs two; the second of a single parameter means nothing
 
         def designs(steps: np.ndarray) -> np.ndarray:
-            """Return phi (P, d) after steps (P, axes) in units of the explored Sigma, along its independent axes."""
+            """Return phi (P, d) after steps (P, free) in units of the explored Sigma, along its independent axes."""
             found = np.tile(problem.start, (len(steps), 1))
-            found[:, free] += unit[free] * (steps[:, : len(whiten)] @ whiten.T)
+            found[:, free] += unit[free] * (steps @ whiten.T)
             return space.clip(found)
 
         options = {"popsize": self.population, "maxiter": self.generations, "seed": problem.seed, "verbose": -9}
-        es, means = cma.CMAEvolutionStrategy(np.zeros(axes), self.sigma0, options), []
+        es, means = cma.CMAEvolutionStrategy(np.zeros(len(whiten)), self.sigma0, options), []
         while not es.stop():
             steps = es.ask()
             es.tell(steps, costs(designs(np.array(steps))).tolist())

@@ -93,8 +93,8 @@ def changed(draw: st.DrawFn) -> Method:
 
 def test_there_are_as_many_choices_as_parts_together() -> None:
     assert {id_of(method) for method in CHOICES} >= {
-        "morph-design-cma", "morph-gaussian-cma", "morph-design-cma_debiased", "morph-design-drift", "morph-design-gradient",
-        "direct", "no_hw_opt", "cmaes_rl", "transform2act", "value_gradient",
+        "morph-design-cma", "morph-gaussian-cma", "morph-design-cma_debiased", "morph-design-drift",
+        "morph-design-gradient", "direct", "no_hw_opt", "cmaes_rl", "transform2act", "value_gradient",
     }  # fmt: skip
 
 
