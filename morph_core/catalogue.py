@@ -11,7 +11,7 @@ from morph_core.contract import check_task
 from morph_core.exploration import Exploration
 from morph_core.format_1 import RENAMED
 from morph_core.method import Method
-from morph_core.presets import with_preset
+from morph_core.presets import method_of, with_preset
 from morph_core.protocol import RunRecord
 from morph_core.registry import Broken, Registry
 from morph_core.search import Search
@@ -72,8 +72,9 @@ def make_method(
     name it is the preset's method, or else morph. ValueError lists what can be set: a setting that does nothing for
     the chosen method, exploration or search is refused, too.
     """
-    chosen, wanted = with_preset(preset, name, task, settings or {})
+    chosen = method_of(preset) if name is None else name
     kind: Any = METHODS[chosen]
+    wanted = with_preset(preset, chosen, task, settings or {})
     tuned = task.tuned if task else ()
     method = configured(_tuned_for(kind, tuned), wanted, tuned)
     if task:

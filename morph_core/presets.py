@@ -64,21 +64,25 @@ def preset_named(name: str) -> Preset:
     return PRESETS[name]
 
 
+def method_of(preset: str | None) -> str:
+    """Return the method of a preset, or the usual one without; ValueError lists the presets."""
+    return preset_named(preset).method if preset is not None else DEFAULT_METHOD
+
+
 def with_preset(
-    preset: str | None, method: str | None, task: Task | None, settings: Mapping[str, object]
-) -> tuple[str, dict[str, object]]:
-    """Return the method, and its settings under dotted names: those of the preset with `settings` on top.
+    preset: str | None, method: str, task: Task | None, settings: Mapping[str, object]
+) -> dict[str, object]:
+    """Return settings under dotted names: those of the preset with `settings` on top.
 
     Where `settings` choose another exploration or search than the preset, what the preset says of that part is left
     out. Raise ValueError for an unknown preset, or one of another method than `method`.
     """
     asked = flattened(dict(settings))
     if preset is None:
-        return method or DEFAULT_METHOD, asked
+        return asked
     chosen = preset_named(preset)
-    if method not in (None, chosen.method):
+    if method != chosen.method:
         raise ValueError(f"the preset {preset} is one of the method {chosen.method}, not of {method}: leave one out")
     own = chosen.settings_for(task)
     replaced = [f"{name}." for name, value in asked.items() if name in own and own[name] != value]
-    kept = {name: value for name, value in own.items() if not name.startswith(tuple(replaced))}
-    return chosen.method, kept | asked
+    return {name: value for name, value in own.items() if not name.startswith(tuple(replaced))} | asked

@@ -478,9 +478,8 @@ MUTANTS: tuple[Mutant, ...] = (
         (", self.width_end, iteration, self.hold)", ", self.width_end, iteration)"),
         ("np.clip(phi - size / 2, space.lo, space.hi - size)", "phi - size / 2"),
         ("[half, 1 - half]", "[half, half]"),
-        ("designs = space.clip(low", "designs = (low"),
-        ("    for index in np.flatnonzero(~task.buildable(designs)):\n"
-         "        designs[index] = nearest_buildable(task, phi, designs[index])\n", ""),
+        ("space.clip(low + size", "(low + size"),
+        ("drawn_back(task, phi, space.clip(low", "(space.clip(low"),
         ("space.free, slope * width", "space.free, slope"),
         ("np.where(space.free, slope * width, 0.0)", "slope * width"),
         ("(phi <= space.lo) & (direction < 0)", "(phi <= space.lo)"),
@@ -576,7 +575,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         f"{CORE}/train.py", "core/test_train.py::test_further_iterations_go_beyond_the_budget",
-        ("None if further is not None else self._record.env_steps", "self._record.env_steps"),
+        ("None if (further or until) is not None else self._record.env_steps", "self._record.env_steps"),
     ),
     *_of(
         f"{CORE}/train.py", "core/test_train.py::test_the_end_that_a_budget_sets_is_foreseen",

@@ -105,8 +105,11 @@ def _one_line(box: str) -> str:
 
 
 def _choices(match: re.Match[str]) -> str:
-    value, flag, allowed = match.groups()
-    return f'{flag} can\'t be "{value}"; choose from: {allowed.replace(chr(39), "")}'
+    value, flag, said = match.groups()
+    allowed = said.replace("'", "").split(", ")
+    if "None" in allowed:  # a flag that may be left out: what it can be comes in no order
+        allowed = sorted({*allowed} - {"None"})
+    return f'{flag} can\'t be "{value}"; choose from: {", ".join(allowed)}'
 
 
 _PLAIN = (

@@ -11,7 +11,7 @@ import tyro
 from morph_core.catalogue import METHODS, TASKS, broken_plugins, configured, make_method, make_task
 from morph_core.config import paths_of
 from morph_core.method import Method
-from morph_core.presets import DEFAULT_METHOD, PRESETS
+from morph_core.presets import PRESETS, method_of
 from morph_core.task import Task
 from studio.cli.arguments import UsageError, options, parse, value_after
 from studio.fields import Field, chosen_fields, docs_of, fields_of, told
@@ -65,7 +65,7 @@ def _method_of(words: Sequence[str], command: str, task: Task) -> Method:
     """
     preset = PRESETS.get(value_after(words, "--preset") or "")
     asked = value_after(words, "--method")
-    name = asked if asked and asked in METHODS else preset.method if preset else DEFAULT_METHOD
+    name = asked if asked and asked in METHODS else method_of(preset.name if preset else None)
     method = make_method(name, task)
     choices = {field.name: field.choices or [] for field in chosen_fields(method, task) if field.choices}
     wanted = {path: value_after(words, f"--{path.replace('_', '-')}") for path in choices}

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 
-from morph_core.catalogue import METHODS, SEARCHES, configured, read_method
+from morph_core.catalogue import METHODS, configured, read_method
 from morph_core.config import paths_of
 from morph_core.evaluate import evaluate_run
 from morph_core.explorations.design import Design
@@ -143,7 +143,8 @@ RUNS = {
         "0x1.bdc45edd6b496p-6",
     ),
 }  # fmt: skip
-CHOICES = [("morph", exploration, search) for exploration in ("design", "gaussian") for search in SEARCHES] + [
+OLD_SEARCHES = ("cma", "drift", "gradient")
+CHOICES = [("morph", exploration, search) for exploration in ("design", "gaussian") for search in OLD_SEARCHES] + [
     (method, "design", "cma") for method in ("direct", "no_hw_opt")
 ]
 """What could be chosen in format 1."""

@@ -43,7 +43,7 @@ def begun(method: ValueGradient = PEER, space: DesignSpace | None = None, seed: 
 def with_critic(slope: list[float], method: ValueGradient = PEER) -> State:
     """Return a state whose critic is V = slope . phi seen, and stays so."""
     state = begun(method)
-    state.control.critic.value = linear([[0.0, *slope, 0.0]])  # pyright: ignore[reportAttributeAccessIssue]
+    state.control.critic.value = linear([[0.0, *slope, 0.0]], [0.0])  # pyright: ignore[reportAttributeAccessIssue]
     state.control.optimizer = plain(state.control.policy.parameters())
     return state
 

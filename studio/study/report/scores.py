@@ -1,5 +1,6 @@
-"""Aggregate scores with intervals by the stratified bootstrap of Agarwal et al. 2021 ("Deep RL at the Edge of the
-Statistical Precipice", the method of rliable), resampled by SciPy.
+"""Aggregate scores with intervals by the stratified bootstrap, which SciPy resamples.
+
+The method is that of Agarwal et al. 2021 ("Deep RL at the Edge of the Statistical Precipice"), and of rliable.
 
 A stratum is a task: its seeds are resampled on their own. A score is the share of the final episodes in which the
 sampled policy reached the goal, so it lies in [0, 1] without any normalisation.
