@@ -63,15 +63,15 @@ def _method_of(words: Sequence[str], command: str, task: Task) -> Method:
 
     A choice that does not exist is left to the parser, which says what does.
     """
-    preset = PRESETS.get(value_after(words, "--preset") or "")
-    asked = value_after(words, "--method")
-    name = asked if asked and asked in METHODS else method_of(preset.name if preset else None)
+    preset, asked = value_after(words, "--preset"), value_after(words, "--method")
+    preset = preset if preset in PRESETS else None
+    name = asked if asked and asked in METHODS else method_of(preset)
     method = make_method(name, task)
     choices = {field.name: field.choices or [] for field in chosen_fields(method, task) if field.choices}
     wanted = {path: value_after(words, f"--{path.replace('_', '-')}") for path in choices}
     chosen = {path: word for path, word in wanted.items() if word in choices[path]}
     try:
-        return make_method(name, task, chosen, preset.name if preset else None)
+        return make_method(name, task, chosen, preset)
     except ValueError as error:
         raise UsageError(f"{command}: {error}") from error
 
