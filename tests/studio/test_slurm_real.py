@@ -20,7 +20,8 @@ from studio.study.slurm_options import SlurmOptions
 from tests.core.conftest import make_run, small_method
 
 __all__ = ["slurm_cluster"]  # a fixture
-ITERATIONS = 12
+ITERATIONS = 40
+"""Iterations of a run: it must last for seconds on an idle machine too, so that it is met at work."""
 METHOD = small_method("morph", {"proxy.prefit": 5})
 RUNS = [f"run-{seed}" for seed in range(8)]
 
@@ -63,18 +64,19 @@ class Watch:
         self.most = max(self.most, sum(bool(place.where) for place in places.values()))
         return places
 
-    def at_work(self, first: int, last: int) -> RunFolder | None:
-        """Return one of these runs that has begun and will not end at once."""
+    def at_work(self, first: int, last: int, without: str = "") -> RunFolder | None:
+        """Return one of these runs that has begun, will not end at once, and is not on the node `without`."""
         places = self.places()
         for folder in self.folders[first : last + 1]:
             history = History(folder)
-            if places[folder.id].where and history.status == "running" and 1 <= history.iteration < ITERATIONS - 4:
+            where = places[folder.id].where.split()[:1]
+            if where not in ([], [without]) and history.status == "running" and 1 <= history.iteration < ITERATIONS - 9:
                 return folder
         return None
 
-    def wait_for_work(self, first: int, last: int) -> tuple[RunFolder, str]:
+    def wait_for_work(self, first: int, last: int, without: str = "") -> tuple[RunFolder, str]:
         """Return such a run, and its node."""
-        folder = eventually(lambda: self.at_work(first, last), 120)
+        folder = eventually(lambda: self.at_work(first, last, without), 120)
         assert isinstance(folder, RunFolder), self.places()
         return folder, self.places()[folder.id].where.split()[0]
 
@@ -89,16 +91,18 @@ def test_a_study_survives_whatever_a_cluster_does_to_it(slurm_cluster: Cluster, 
     killed, node = watch.wait_for_work(0, 1)
     assert slurm_cluster.kill_node(node) >= 3, "the daemon, a step and the trainer"
     watch.slurm.cancel(watch.study, RUNS[-1:])
-    assert eventually(lambda: slurm_cluster.state(node).startswith("down"), 90)
-    slurm_cluster.start_node(node)
-    # A job that comes first.
-    preempted, node = watch.wait_for_work(2, 6)
-    slurm_cluster.run("sbatch", "--partition=urgent", f"--nodelist={node}", "--output=/dev/null", "--wrap=sleep 1")
+    # Before Slurm has missed the node, on the other one: a job that comes first.
+    preempted, alive = watch.wait_for_work(1, 6, without=node)
+    slurm_cluster.run("sbatch", "--partition=urgent", f"--nodelist={alive}", "--output=/dev/null", "--wrap=sleep 1")
     assert eventually(lambda: History(preempted).status == "stopped", 60)
     # The time limit: what Slurm sends to the job script when it is near.
-    limited, _ = watch.wait_for_work(3, 6)
+    limited, _ = watch.wait_for_work(1, 6, without=node)
     slurm_cluster.run("scancel", "--batch", "--signal=USR1", task_of(limited))
     assert eventually(lambda: History(limited).status == "stopped", 60)
+    # The node is missed, and comes back.
+    assert eventually(lambda: slurm_cluster.state(node).startswith("down"), 90)
+    slurm_cluster.start_node(node)
+    assert eventually(lambda: slurm_cluster.state(node) == "idle" or watch.at_work(0, 6), 60)
     watch.slurm.requeue(watch.study, RUNS)
     assert eventually(lambda: all(place.given_up for place in watch.places().values()), 300), watch.places()
     assert watch.most == 2
