@@ -71,7 +71,7 @@ def page(results: Results, drawings: Sequence[tuple[Drawing, str]], directory: P
         signs=SIGNS,
         drawings=drawings,
         reasons=[(r.run, r.reason) for r in results.runs if r.reason and r.status in ("failed", "lost", "unreadable")],
-        command=f"morph-studio study --report {shlex.quote(str(directory))}",
+        command=f"morph-studio study --report {shlex.quote(directory.resolve().name)}",
         again=command_of(study),
         versions=sorted(study.versions.items()),
     )
