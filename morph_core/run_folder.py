@@ -144,6 +144,20 @@ class RunFolder:
             return []
         return sorted(int(p.name) for p in self.checkpoints.iterdir() if p.is_dir() and re.fullmatch(r"\d{6,}", p.name))
 
+    def checkpoint_up_to(self, iteration: int) -> int:
+        """Return the iteration of the newest checkpoint up to `iteration`.
+
+        Raise RunFolderError that says from where on there are any.
+        """
+        saved = self.checkpoint_iterations()
+        known = [i for i in saved if i <= iteration]
+        if not known:
+            first = f"the first is of iteration {saved[0]}" if saved else "there is none at all"
+            raise RunFolderError(
+                f"{self.id} has no checkpoint up to iteration {iteration}: no policy to evaluate; {first}"
+            )
+        return known[-1]
+
     def checkpoint(self, iteration: int) -> Path:
         """Return the path of the checkpoint of an iteration."""
         return self.checkpoints / f"{iteration:06d}"

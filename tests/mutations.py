@@ -155,7 +155,7 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/episodes.py", "core/test_episodes.py",
         ("task.solved(reached & rollout.alive)", "task.solved(reached)"),
-        (".sum() / episodes)", ".mean())"),
+        (".sum() / rollout.episodes)", ".mean())"),
         ("rng if sampled else None", "rng"),
         ("rollout.s[steps, episode] if steps < len(rollout.s) else rollout.last_s[episode]", "rollout.last_s[episode]"),
     ),

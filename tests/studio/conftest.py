@@ -19,7 +19,7 @@ import uvicorn
 import viser
 from fastapi import FastAPI
 
-from morph_core.catalogue import make_method, make_task
+from morph_core.catalogue import make_method, make_task, read_method
 from morph_core.config import recorded
 from morph_core.history import History
 from morph_core.protocol import FORMAT, AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
@@ -311,3 +311,15 @@ def settings(runs_folder: Path, tmp_path: Path) -> Settings:
 def served(settings: Settings) -> Iterator[Served]:
     with serving(settings) as running:
         yield running
+
+
+def add_checkpoint(folder: RunFolder, iteration: int) -> None:
+    """Give a run the checkpoint of an iteration, with the weights of a policy that has learnt nothing."""
+    from morph_core.checkpoint import save_checkpoint  # torch: only where it is needed
+    from morph_core.state import start
+
+    record = folder.record()
+    task = make_task(record.task, record.task_options)
+    state = start(task, read_method(record), 0)
+    state.iteration = iteration
+    save_checkpoint(folder, state, 0.0)
