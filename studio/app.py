@@ -31,7 +31,9 @@ from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.runs import runs_router
 from studio.api.study import study_router
 from studio.api.tasks import tasks_router
+from studio.api.what_if import what_if_router
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
+from studio.evaluator import Evaluator, EvaluatorError
 from studio.export.bundle import Bundle, build_bundle
 from studio.runs import Runs
 from studio.security import Access, Guard
@@ -40,6 +42,7 @@ from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
 from studio.viewer import StartRequest, Viewer
+from studio.what_if import WhatIfs
 
 SHOW_INTERVAL = 0.2
 """Seconds between two looks at the runs for the viewer."""
@@ -104,11 +107,11 @@ def create_app(
     launcher: Slurm | None = None,
     viewer: Callable[[viser.ViserServer, Runs], Shows] = make_viewer,
 ) -> FastAPI:
-    """Return the application; `app.state` holds `access`, `runs` and, while it runs, `viser`.
+    """Return the application; `app.state` holds `access`, `runs`, `evaluator` and, while it runs, `viser`.
 
     New runs are started by `launcher`, by default as processes of this machine.
     """
-    reserve, report = Reserve(), LiveReport(settings.runs)
+    reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
     watched = runs or Runs(settings.runs, reserve.spawn, launcher)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
 
@@ -117,6 +120,7 @@ def create_app(
         watched.show_newest()
         with contextlib.ExitStack() as ends:
             ends.callback(report.close)
+            ends.callback(evaluator.close)
             if runs is None:
                 ends.callback(reserve.close)
                 if launcher is None:
@@ -143,13 +147,14 @@ def create_app(
         telemetry={"tracing": False, "metrics": False, "logs": False},  # would carry the link's token elsewhere
     )
     app.state.access = Access(settings)
-    app.state.runs = watched
+    app.state.runs, app.state.evaluator = watched, evaluator
     for router in (
         tasks_router(),
         runs_router(watched),
         designs_router(watched, build_bundle),
         imports_router(watched),
         events_router(watched, stopping),
+        what_if_router(watched, WhatIfs(evaluator)),
         study_router(report),
         viewer_router(),
         docs_router(),
@@ -207,6 +212,7 @@ def _add_refusals(app: FastAPI) -> None:
     app.add_exception_handler(ValueError, refuse(422))
     app.add_exception_handler(RequestValidationError, refuse_parameters)
     app.add_exception_handler(OSError, refuse(503))
+    app.add_exception_handler(EvaluatorError, refuse(503))
 
 
 class _Server(uvicorn.Server):

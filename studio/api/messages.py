@@ -11,6 +11,7 @@ from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, 
 from studio.fields import Field
 from studio.limits import LARGEST_SEED, MAX_ITERATIONS
 from studio.runs import Summary
+from studio.what_if import SweepPoint, WhatIf, Wish
 
 MAX_BODY = 1 << 20
 """Largest body of a request, in bytes."""
@@ -199,7 +200,7 @@ def reply(message: object, status: int = 200) -> Response:
 
 _KINDS = (
     StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, Metrics, Designs, Checked, Health, Refusal, AnyCommand,
-    AnyEvent,
+    AnyEvent, Wish, WhatIf, SweepPoint,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 
@@ -245,6 +246,6 @@ REFUSALS: dict[int | str, dict[str, object]] = {
         404: "No such run, design or file",
         413: "A body that is too long",
         422: "A value that is not allowed",
-        503: "The disk refuses",
+        503: "The disk refuses, or the process that evaluates designs has died",
     }.items()
 }
