@@ -1,5 +1,6 @@
 """What-if questions: the process that answers them, its queue, and wishes about runs."""
 
+import json
 import os
 import signal
 import subprocess
@@ -12,7 +13,7 @@ from typing import IO
 
 import numpy as np
 import pytest
-from conftest import add_checkpoint, eventually, make_run
+from conftest import ROOT, add_checkpoint, eventually, make_run
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
@@ -301,3 +302,34 @@ def test_a_checkpoint_that_has_gone_is_said(what_ifs: WhatIfs, tmp_path: Path) -
     (folder.checkpoint(2) / "weights.safetensors").unlink()
     with pytest.raises(ValueError, match=r"checkpoint 2 of .* is gone"):
         what_ifs.evaluate(History(folder), Wish(), Cancellation())
+
+
+# --- the command ---
+
+
+def evaluate(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "studio.cli", "evaluate", *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+
+
+def test_the_command_measures_another_design_and_along_each_parameter(history: History) -> None:
+    run = str(history.folder.path)
+    done = evaluate(run, "--design", "3", "--phi", "link_1=2", "--episodes", "4", "--json")
+    assert done.returncode == 0, done.stderr
+    alone = evaluate_run(history.folder, "3", 4, other_phi=[2.0, 2.7, 2.7, 2.7, 2.7])
+    assert json.loads(done.stdout) == json.loads(json.dumps(alone))
+    said = evaluate(run, "--phi", "2", "1", "1", "1", "1", "--episodes", "4").stdout
+    assert "link_1 2, link_2 1" in said
+    assert "the policy is that of iteration 2" in said
+    swept = evaluate(run, "--sensitivity", "--episodes", "2", "--json")
+    points = json.loads(swept.stdout)["points"]
+    assert [p["parameter"] for p in points] == [name for name in history.design_space.names for _ in range(POINTS)]
+    assert [p["value"] for p in points[:POINTS]] == pytest.approx(np.linspace(0.05, 5, POINTS))
+
+
+def test_the_command_says_a_sweep_in_a_table(history: History) -> None:
+    done = evaluate(str(history.folder.path), "--sensitivity", "--episodes", "1")
+    lines = [line for line in done.stdout.splitlines() if line.strip()]
+    assert len(lines) == 1 + 5 * POINTS + 1
+    assert lines[1].startswith("link_1")
+    assert lines[-1] == "sampled policy, 1 episodes on Hw-Phy at each value"
