@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 import anyio
+import msgspec
 import uvicorn
 import viser
 from fastapi import FastAPI, Request, Response
@@ -22,7 +23,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, Status
+from morph_core.protocol import AnyCommand, Parent, Status
 from morph_core.run_folder import RunFolderError
 from studio.api.designs import designs_router, imports_router
 from studio.api.docs import docs_router
@@ -76,7 +77,7 @@ class _GuardedApp(FastAPI):
         return Guard(super().build_middleware_stack(), self.state.access)
 
 
-def make_viewer(server: viser.ViserServer, runs: Runs) -> Shows:
+def make_viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Shows:
     """Return the studio's viewer, with what its users ask for passed on to the runs."""
 
     def on_command(run_id: str, command: AnyCommand) -> None:
@@ -94,10 +95,33 @@ def make_viewer(server: viser.ViserServer, runs: Runs) -> Shows:
             parameters=wish.parameters,
         )
 
-    def on_export(run_id: str, which: str, formats: Sequence[str] | None) -> Bundle:
-        return build_bundle(runs.get(run_id), which, formats)
+    def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
+        return runs.start(**_branch(runs.get(run_id), iteration, phi))
 
-    return Viewer(server, on_command=on_command, on_start=on_start, on_resume=runs.resume, on_export=on_export)
+    def on_export(run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None) -> Bundle:
+        return build_bundle(runs.get(run_id), which, formats, phi)
+
+    return Viewer(
+        server, on_command=on_command, on_start=on_start, on_resume=runs.resume, on_branch=on_branch,
+        on_export=on_export, answers=what_ifs,
+    )  # fmt: skip
+
+
+def _branch(history: History, iteration: int, phi: Sequence[float]) -> dict[str, object]:
+    """Return the wish for a run like this one that begins with phi (d,), under the bounds and locks of an iteration;
+    they give way where phi lies beyond them."""
+    record = history.record
+    parameters = [
+        msgspec.structs.replace(
+            p, lo=min(p.lo, value), hi=max(p.hi, value), initial=value, locked_at=None if p.locked_at is None else value
+        )
+        for p, value in zip(history.at(iteration).space.parameters, phi, strict=True)
+    ]
+    return {
+        "task": record.task, "task_options": record.task_options, "method": record.method, "settings": record.config,
+        "seed": record.seed, "iterations": record.iterations, "parameters": parameters,
+        "parent": Parent(record.id, iteration),
+    }  # fmt: skip
 
 
 def create_app(
@@ -105,13 +129,14 @@ def create_app(
     *,
     runs: Runs | None = None,
     launcher: Slurm | None = None,
-    viewer: Callable[[viser.ViserServer, Runs], Shows] = make_viewer,
+    viewer: Callable[[viser.ViserServer, Runs, WhatIfs], Shows] = make_viewer,
 ) -> FastAPI:
     """Return the application; `app.state` holds `access`, `runs`, `evaluator` and, while it runs, `viser`.
 
     New runs are started by `launcher`, by default as processes of this machine.
     """
     reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
+    what_ifs = WhatIfs(evaluator)
     watched = runs or Runs(settings.runs, reserve.spawn, launcher)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
 
@@ -127,7 +152,7 @@ def create_app(
                     reserve.load()
             app.state.viser = GuardedViser()
             ends.callback(app.state.viser.stop)
-            shown, done = viewer(app.state.viser.server, watched), threading.Event()
+            shown, done = viewer(app.state.viser.server, watched, what_ifs), threading.Event()
             ends.callback(shown.stop)
             painter = threading.Thread(target=keep_showing, args=(shown, watched, done), name="viewer", daemon=True)
             painter.start()
@@ -154,7 +179,7 @@ def create_app(
         designs_router(watched, build_bundle),
         imports_router(watched),
         events_router(watched, stopping),
-        what_if_router(watched, WhatIfs(evaluator)),
+        what_if_router(watched, what_ifs),
         study_router(report),
         viewer_router(),
         docs_router(),

@@ -167,8 +167,9 @@ class _Process:
         return self._child.poll() is not None
 
     def kill(self) -> None:
-        """End it at once."""
+        """End it at once, and wait until it has."""
         self._child.kill()
+        self._child.wait()
 
     def answer(
         self, question: Question, cancellation: Cancellation, on_played: Callable[[bytes], None] | None

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from morph_core.catalogue import make_task
-from morph_core.run_folder import RunFolder, read_episode
+from morph_core.run_folder import RunFolder, episode_arrays, read_episode
 from morph_core.task import Task
 from studio.robots.chooser import robot_of
 from studio.robots.parts import dress, stl_files
@@ -41,9 +41,13 @@ class Shot:
     phi: tuple[float, ...]
     """The design in front."""
     episode: tuple[RunFolder, int] | None = None
-    """The episode that is played; without one the robot stands in the start posture."""
+    """The recorded episode that is played; without one the robot stands in the start posture."""
+    played: bytes | None = None
+    """An episode that no run has recorded, as the bytes of an npz file; it goes before a recorded one."""
     ghost: tuple[float, ...] | None = None
     """The design that stands pale behind the one in front."""
+    ghost_name: str = "initial"
+    """Word that says which design that is."""
     trail: tuple[tuple[float, ...], ...] = ()
     """Earlier designs, which are shown paler still."""
     printed: bool = False
@@ -120,10 +124,10 @@ class _Episode:
 def make_take(shot: Shot) -> Take:
     """Build the designs, read the episode, place every part. Raise ValueError if task or episode is no good."""
     task = make_task(shot.task, dict(shot.task_options))
-    recorded = read_episode(*shot.episode) if shot.episode else {}
+    recorded = _recorded(shot)
     phi = np.asarray(recorded.get("phi", shot.phi), float)
     model, alone = _models(task, phi, shot.printed)
-    if shot.episode:
+    if recorded:
         episode = _episode(recorded, model.nq, len(phi))
     else:
         nothing = np.zeros((0, len(phi)))
@@ -149,6 +153,13 @@ def make_take(shot: Shot) -> Take:
         box=box,
         floor=floor,
     )
+
+
+def _recorded(shot: Shot) -> dict[str, np.ndarray]:
+    """Return the arrays of the episode that is to be played, or none."""
+    if shot.played is not None:
+        return episode_arrays(shot.played)
+    return read_episode(*shot.episode) if shot.episode else {}
 
 
 def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, mujoco.MjModel]:

@@ -90,8 +90,8 @@ class TimelinePanel:
         """Tell whether the shown iteration has a recorded episode."""
         return self.shown_iteration in self._recorded
 
-    def update(self, history: History, *, live: bool) -> None:
-        """Offer the iterations that a run has recorded, and say which one is shown."""
+    def update(self, history: History, *, live: bool, by_hand: bool = False) -> None:
+        """Offer the iterations that a run has recorded, and say which one is shown, or was changed `by_hand`."""
         another = self._history is None or history.record.id != self._history.record.id
         self._history = history
         if another:
@@ -106,7 +106,8 @@ class TimelinePanel:
         if self.follow.value or self.iteration.value > self.iteration.max:
             self.iteration.value = min(self.shown_iteration, self.iteration.max)
         self.inject.visible = live and not self.follow.value
-        self.what.content = wording.paragraph(self._what())
+        changed = f"a body changed by hand, with the policy of iteration {self.shown_iteration}"
+        self.what.content = wording.paragraph(changed if by_hand else self._what())
 
     def clear(self, sentence: str) -> None:
         """Show no run, and `sentence` in its place."""
@@ -141,6 +142,11 @@ class TimelinePanel:
         self._player.play(playing)
         self.play.label = "Pause playback" if playing else "Play"
         self.play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
+
+    def hold(self) -> None:
+        """Stay at the shown iteration instead of following the latest one."""
+        shown = self.shown_iteration
+        self.follow.value, self.iteration.value = False, min(shown, int(self.iteration.max))
 
     def toggle_follow(self) -> None:
         """Begin to follow the latest design, or stop following it."""
