@@ -9,6 +9,13 @@ from studio.what_if import SweepPoint
 
 SUCCESS, RETURN = wording.GREEN, wording.BLUE
 _WIDTH, _HEIGHT, _EDGE = 300.0, 44.0, 3.0
+_PLACE = "position:relative;margin:-0.1em 15.2% 0.7em 24.4%"
+"""Style that puts the curves below the track of their slider, so that both have one scale."""
+_AXIS = (
+    "position:absolute;right:100%;top:0;bottom:0;padding-right:0.4em;font-size:0.65em;line-height:1.1;"
+    "white-space:nowrap;display:flex;flex-direction:column;justify-content:space-between;text-align:right"
+)
+_GROUND = f"width:100%;height:{_HEIGHT:g}px;display:block;background:rgba(128,138,150,0.12);border-radius:3px"
 
 
 @dataclass(frozen=True)
@@ -60,10 +67,11 @@ def curves_of(points: Sequence[SweepPoint], scale: Scale, now: float, box: tuple
         shapes += _curve(run, x, SUCCESS, lambda m: m.success, lambda m: m.success_interval)
     here = x(min(max(now, lo), hi))
     shapes.append(f'<line x1="{here:.1f}" x2="{here:.1f}" y1="0" y2="{_HEIGHT:g}" stroke="currentColor"/>')
+    axis = "".join(f"<span>{share}</span>" for share in ("100 %", "0 %"))
     return (
-        '<div style="margin:-0.2em 0.75em 0.6em"><svg role="img" aria-label="success and return along the parameter" '
-        f'viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" preserveAspectRatio="none" '
-        'style="width:100%;height:44px;display:block;background:rgba(128,138,150,0.12);border-radius:3px">'
+        f'<div style="{_PLACE}"><div style="{_AXIS};color:{SUCCESS}">{axis}</div>'
+        '<svg role="img" aria-label="success and return along the parameter" preserveAspectRatio="none" '
+        f'viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" style="{_GROUND}">'
         f'<g opacity="{0.35 if faded else 1}">{"".join(shapes)}</g></svg></div>'
     )
 

@@ -264,7 +264,7 @@ class Viewer:
             self.steer.update(history, status)
             self.design.update(history, status)
             self.export.update(history)
-            self.timeline.update(history, live=live, by_hand=self.what_if.open)
+            self.timeline.update(history, live=live, by_hand=self.what_if.is_changed)
             shown, phi = self._shown_design(history)
             self.traces.update(history, shown, phi)
             self.what_if.update(history, shown, phi, live=live, following=self.timeline.follow.value)
@@ -318,7 +318,7 @@ class Viewer:
     def _shot(self, history: History, shown: int, phi: np.ndarray) -> Shot:
         recorded = (history.folder, shown) if self.timeline.has_episode else None
         before, name = (tuple(history.initial_phi.tolist()), "initial")
-        changed = self.what_if.open and not np.array_equal(self.what_if.phi, phi)
+        changed = self.what_if.is_changed
         if changed:
             before, name = tuple(phi.tolist()), "recorded"
         in_front = self.what_if.phi if self.what_if.open else phi

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
+import msgspec
 import numpy as np
 import viser
 
@@ -19,7 +20,7 @@ from studio.viewer.outcome import outcome_table
 from studio.viewer.parts import Unit, quantities_of, unit_of
 from studio.what_if import SweepPoint, WhatIf, Wish
 
-EPISODES, SWEEP_EPISODES = 128, 64
+EPISODES, SWEEP_EPISODES = 128, 32
 """Numbers of episodes of an evaluation, and at each value of a sweep."""
 _REST = 0.12
 """Seconds for which the sliders have to rest before the policy is tried."""
@@ -105,7 +106,9 @@ class WhatIfPanel:
             hint="Move the design by hand and see at once what its policy makes of it; the run goes on as it is",
         )  # fmt: skip
         self.result = gui.add_html("", visible=False)
-        self.reset = gui.add_button("Reset", icon=viser.Icon.ARROW_BACK_UP, hint="Back to the recorded design")
+        self.reset = gui.add_button(
+            "Reset", icon=viser.Icon.ARROW_BACK_UP, color="gray", hint="Back to the recorded design"
+        )
         self.sweep = gui.add_button(
             "Which parameter limits it?", icon=viser.Icon.CHART_LINE,
             hint="Success and return along each parameter, drawn beside its slider",
@@ -121,7 +124,7 @@ class WhatIfPanel:
             "Branch from here", icon=viser.Icon.GIT_BRANCH, hint="Start a new run that begins with this φ"
         )
         self.export = gui.add_button("Export this", icon=viser.Icon.DOWNLOAD, hint="This φ with the policy, as a zip")
-        self.leave = gui.add_button("Close", icon=viser.Icon.X, hint="Back to what was recorded")
+        self.leave = gui.add_button("Close", icon=viser.Icon.X, color="gray", hint="Back to what was recorded")
         self.begin.on_click(lambda _: self._begin())
         self.leave.on_click(lambda _: self.close())
         self.reset.on_click(lambda _: self._set(self._recorded))
@@ -140,6 +143,11 @@ class WhatIfPanel:
     def phi(self) -> np.ndarray:
         """Return the design (d,) of the sliders."""
         return self._phi
+
+    @property
+    def is_changed(self) -> bool:
+        """Tell whether the design of the sliders is another than the recorded one."""
+        return self.open and not np.array_equal(self._phi, self._recorded)
 
     def clear(self) -> None:
         """Show no run."""
@@ -203,21 +211,24 @@ class WhatIfPanel:
             slot.remove()
         with self.sliders:
             self._slots = [self._gui.add_folder(None)]
-        labels = {
-            entry.index: (entry.part if len(quantities) == 1 else f"{entry.part} {quantity.name}")
-            for quantities in [quantities_of(history)]
-            for quantity in quantities
-            for entry in quantity.entries
-        }
+        quantities = quantities_of(history)
+        rows: dict[int, _Row] = {}
         with self._slots[0]:
-            self._rows = [self._row(i, p, labels[i]) for i, p in enumerate(history.record.parameters)]
+            for quantity in quantities:
+                unit = f" [{quantity.unit.name}]" if quantity.unit.name else ""
+                if len(quantities) > 1:
+                    self._gui.add_html(wording.paragraph(f"<b>{wording.text(quantity.name)}</b>{wording.text(unit)}"))
+                for entry in quantity.entries:
+                    label = entry.part if len(quantities) > 1 else f"{entry.part}{unit}"
+                    rows[entry.index] = self._row(entry.index, history.record.parameters[entry.index], label)
+        self._rows = [rows[i] for i in range(len(rows))]
 
     def _row(self, i: int, p: Parameter, label: str) -> _Row:
         unit = unit_of(p)
         step = 10.0**-unit.digits
         lo, hi = (round(end * unit.factor, unit.digits) for end in (p.hard_lo, p.hard_hi))
         slider = self._gui.add_slider(
-            f"{label} [{unit.name}]" if unit.name else label, lo, hi, step, lo,
+            label, lo, hi, step, lo,
             hint=f"{p.name}: from {unit.words(p.hard_lo)} to {unit.words(p.hard_hi)}",
         )  # fmt: skip
         slider.on_update(lambda event: self._drag(i, event.client) if event.client else None)
@@ -269,17 +280,24 @@ class WhatIfPanel:
                 self.episode = episode
             self._on_change()
 
-        wish = Wish(design=str(iteration), phi=phi.tolist(), episodes=EPISODES)
+        wish = Wish(design=str(iteration), episodes=EPISODES)
         try:
-            found = self._answers.evaluate(history, wish, cancellation, play)
+            changed = msgspec.structs.replace(wish, phi=phi.tolist())
+            found = self._answers.evaluate(history, changed, cancellation, play)
+            self._tell(found, first, cancellation)
+            if self._before is None:  # the first drag came before it was known
+                self._tell(self._answers.evaluate(history, wish, cancellation), True, cancellation)
         except (ValueError, OSError, EvaluatorError) as error:
             cancellation.check()
             self._show_result(str(error))
             return
+
+    def _tell(self, found: WhatIf, recorded: bool, cancellation: Cancellation) -> None:
+        """Show what the policy came to, on the changed or on the recorded body."""
         with self._lock:
             cancellation.check()
-            self.found = found
-            self._before = found if first else self._before
+            self.found = self.found if recorded and self.is_changed else found
+            self._before = found if recorded else self._before
         self._show_result()
 
     # --- the sweep ---
@@ -366,7 +384,7 @@ class WhatIfPanel:
     def _show_result(self, trouble: str = "") -> None:
         if not self.open:
             return
-        changed = not np.array_equal(self._phi, self._recorded)
+        changed = self.is_changed
         self.note.content = wording.paragraph(
             f"Policy of iteration {self._iteration} on "
             + ("<b>a body changed by hand</b>" if changed else "the recorded body")
