@@ -85,6 +85,7 @@ def _build(
     if other_phi is not None:
         phi, which = other_phi, f"{which}, {BY_HAND}"
     _check_phi(history, phi)
+    _check_buildable(task, phi)
     formats = default_formats(task) if formats is None else formats
     check_formats(formats, task)
     robot = robot_of(task)
@@ -266,6 +267,13 @@ def _check_phi(history: History, phi: np.ndarray) -> None:
     for p, value in zip(parameters, phi, strict=True):
         if not p.hard_lo <= value <= p.hard_hi:
             raise ExportError(f"{p.name} of the design is {value:g}, outside [{p.hard_lo:g}, {p.hard_hi:g}]")
+
+
+def _check_buildable(task: Task, phi: np.ndarray) -> None:
+    try:
+        task.check_buildable(phi)
+    except ValueError as error:
+        raise ExportError(str(error)) from error
 
 
 def _design(history: History, task: Task, which: str, iteration: int, phi: np.ndarray, parts: Sequence[Part]) -> Design:

@@ -303,6 +303,7 @@ class Blackboard:
 
     server: viser.ViserServer
     runs: Runs
+    what_ifs: WhatIfs
     shown: list[tuple[list[str], dict[str, tuple[Status, str]], str | None]] = field(default_factory=list)
     broken: bool = False
     selected: str | None = None
@@ -343,8 +344,7 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     viewers: list[Blackboard] = []
 
     def viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Blackboard:
-        del what_ifs
-        viewers.append(Blackboard(server, runs))
+        viewers.append(Blackboard(server, runs, what_ifs))
         return viewers[0]
 
     listener = socket.create_server(("127.0.0.1", 0))

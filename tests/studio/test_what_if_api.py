@@ -94,6 +94,15 @@ def test_a_sweep_is_told_point_by_point(served: Served) -> None:
     assert set(point["measured"]) >= {"success", "success_interval", "episode_return", "reward_terms"}
 
 
+def test_a_changed_design_is_exported(served: Served) -> None:
+    phi = [2.0, 1.0, 1.5, 2.5, 3.5]
+    query = {"phi": phi, "formats": "urdf"}
+    answer = served.client.get(f"/api/runs/{RUN}/designs/3/export/checks", params=query)
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["name"] == f"{RUN}-000003-changed-by-hand.zip"
+    assert served.client.get(f"/api/runs/{RUN}/designs/3/export", params={"phi": [9.0] * 5}).status_code == 422
+
+
 def test_whoever_leaves_cancels_what_was_asked(served: Served) -> None:
     evaluator = served.app.state.evaluator
     with pytest.raises(httpx.ReadTimeout):
