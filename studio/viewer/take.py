@@ -1,6 +1,8 @@
 """What is to be seen in the scene, and everything that drawing it needs, worked out once."""
 
 import contextlib
+import functools
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -136,14 +138,15 @@ def make_take(shot: Shot) -> Take:
     frames = smooth(model, _fill(model, episode.qpos), factor)
     robot, objects, scenery = _split(Figure.from_model(model, frames), alone)
     contact = _moving_contacts(episode.contact, factor, len(frames))
-    box, floor = _frame(task)
+    options = json.dumps(dict(shot.task_options), sort_keys=True)
+    box, floor = _frame(shot.task, options)
     population = episode.population if shot.population else ()
     return Take(
         shot=shot,
         robot=robot,
         objects=objects,
         scenery=scenery,
-        ghost=_standing(task, [shot.ghost], _GHOST_THICKNESS) if shot.ghost else None,
+        ghost=_ghost(shot.task, options, shot.ghost) if shot.ghost else None,
         trail=_standing(task, shot.trail, _TRAIL_THICKNESS),
         population=_standing(task, population, _POPULATION_THICKNESS),
         goal_touched=_from_their_end(episode.success, factor, len(frames)),
@@ -218,6 +221,12 @@ def _standing(task: Task, designs: Sequence[Sequence[float]] | np.ndarray, thick
     return Figure.joined(figures).thinned(thickness) if figures else None
 
 
+@functools.lru_cache(maxsize=16)
+def _ghost(task: str, options: str, phi: tuple[float, ...]) -> Figure | None:
+    """Return the design that stands pale behind another one; it stays while that one is dragged."""
+    return _standing(make_task(task, json.loads(options)), [phi], _GHOST_THICKNESS)
+
+
 def _fill(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     """Return qpos (T, nq) for a model with more (objects) or fewer joints (the robot alone) than were recorded."""
     filled = np.tile(model.qpos0, (len(qpos), 1))
@@ -256,12 +265,14 @@ def _touched(scenery: Figure, contact: np.ndarray) -> np.ndarray:
     return touched
 
 
-def _frame(task: Task) -> tuple[Corners, Corners]:
-    """Return what is always in sight, and the floor below it.
+@functools.lru_cache(maxsize=16)
+def _frame(name: str, options: str) -> tuple[Corners, Corners]:
+    """Return what is always in sight of a task with `options`, which are JSON, and the floor below it.
 
     In sight are obstacles, goal and the initial design where it starts; where objects are carried to the goal, also
     the room that the design needs there.
     """
+    task = make_task(name, json.loads(options))
     phi = task.design_space.initial
     model = task.scene(phi).compile()
     whole = Figure.from_model(model, _fill(model, _start(task, phi)))
