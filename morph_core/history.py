@@ -5,6 +5,7 @@ import dataclasses
 import math
 import time
 from dataclasses import dataclass
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -194,6 +195,20 @@ class History:
     def best(self) -> Evaluation | None:
         """The evaluation with the most sampled success, then the highest return."""
         return max(self.evaluations, key=lambda e: (e.sampled_success, e.sampled_return), default=None)
+
+    @property
+    def last_evaluation(self) -> Evaluation | None:
+        """The evaluation at the end of the budget, or the last one before it."""
+        return max(self.evaluations, key=lambda e: (e.final, e.iteration), default=None)
+
+    def first_evaluation(self, kind: Literal["sampled", "deterministic"], level: float) -> Evaluation | None:
+        """Return the first evaluation in which the success of this policy was at least `level`."""
+        return next((e for e in self.evaluations if getattr(e, f"{kind}_success") >= level), None)
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time until the last word of an iteration or an evaluation."""
+        return max((e.cpu_seconds for e in (*self.progress[-1:], *self.evaluations[-1:])), default=0.0)
 
     def design(self, which: str) -> tuple[int, np.ndarray]:
         """Return iteration and phi (d,) of "best", "latest", or an iteration; 0 is the initial design.

@@ -181,7 +181,7 @@ def _document(history: History, outcome: Outcome) -> dict[str, object]:
         "phi": dict(zip(history.design_space.names, history.phi.tolist(), strict=True)),
         "last_evaluation": _evaluation(last),
         "best_evaluation": _evaluation(history.best),
-        "cpu_seconds": max([e.cpu_seconds for e in (*history.progress[-1:], *history.evaluations[-1:])], default=0.0),
+        "cpu_seconds": history.cpu_seconds,
     }
 
 

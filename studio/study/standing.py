@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 from morph_core.history import History
-from morph_core.protocol import Evaluation, Progress, StateChanged, Status, Stop
+from morph_core.protocol import Progress, StateChanged, Status, Stop
 from morph_core.run_folder import RunFolder, RunFolderError
 from studio.study.launcher import Place
 from studio.study.plan import PlannedRun, Study
@@ -117,7 +117,7 @@ def standing_of(history: History, planned: PlannedRun, level: float, place: Plac
     """Return what a run has come to."""
     status, beat = history.status, history.heartbeat
     progress: Progress | None = history.progress[-1] if history.progress else None
-    last = next((e for e in reversed(history.evaluations) if e.final), None) or _last(history.evaluations)
+    last, solved = history.last_evaluation, history.first_evaluation("sampled", level)
     by_user = stopped_by_user(history)
     silent = status in ("finished", "running")
     return RunStanding(
@@ -133,19 +133,12 @@ def standing_of(history: History, planned: PlannedRun, level: float, place: Plac
         env_steps=progress.env_steps if progress else 0,
         relabelled_steps=progress.relabelled_steps if progress else 0,
         search_steps=progress.search_steps if progress else 0,
-        cpu_seconds=max([e.cpu_seconds for e in (*history.progress[-1:], *history.evaluations[-1:])], default=0.0),
-        solved=next(
-            (Solved(e.env_steps, e.cpu_seconds) for e in history.evaluations
-             if not e.final and e.sampled_success >= level), None,
-        ),
+        cpu_seconds=history.cpu_seconds,
+        solved=Solved(solved.env_steps, solved.cpu_seconds) if solved else None,
         sampled_success=last.sampled_success if last else None,
         deterministic_success=last.deterministic_success if last else None,
         stage=beat.stage if beat and status in ("starting", "running") else "",
-    )  # fmt: skip
-
-
-def _last(evaluations: Sequence[Evaluation]) -> Evaluation | None:
-    return evaluations[-1] if evaluations else None
+    )
 
 
 def by_variant(study: Study, standings: Sequence[RunStanding]) -> Iterator[VariantStanding]:

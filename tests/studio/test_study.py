@@ -19,9 +19,11 @@ from morph_core.protocol import Evaluation, Progress, StateChanged
 from morph_core.run_folder import EventLog, RunFolder, process_alive
 from studio.cli import run
 from studio.cli.study import _Bars, _counts, _Lines, table_of
+from studio.cli.terminal import Screen
 from studio.study import launchers
 from studio.study.local import Local, read_launch
 from studio.study.plan import Study, read_study
+from studio.study.report.results import read_results
 from studio.study.standing import RunStanding, Standings, by_variant, seconds_left, share_done
 
 ROOT = Path(__file__).parents[2]
@@ -57,14 +59,14 @@ def test_a_line_says_how_many_seeds_solved_it_after_what_and_what_success_was_at
     names = [planned.run for planned in study.runs]
     wrote(tmp_path / "study", names[0], [0.5, 0.97, 1.0], 0.9)
     wrote(tmp_path / "study", names[1], [0.96, 0.5, 0.5], 0.5)
-    wrote(tmp_path / "study", names[2], [0.1, 0.2, 0.3], 0.96)  # what counts is an evaluation on the way
+    wrote(tmp_path / "study", names[2], [0.1, 0.2, 0.3], 0.96)  # solved at its end
     wrote(tmp_path / "study", names[3], [0.99])  # still at it
     found = standings(tmp_path / "study", study)
     (line,) = by_variant(study, found)
-    assert (line.runs, line.finished, line.solved, line.failures) == (4, 3, 3, [])
-    assert (line.median_env_steps, line.median_cpu_seconds) == (400.0, 2.0)
+    assert (line.runs, line.finished, line.solved, line.failures) == (4, 3, 4, [])
+    assert (line.median_env_steps, line.median_cpu_seconds) == (600.0, 3.0)
     assert (line.sampled_success, line.deterministic_success) == (0.9, 0.45)
-    assert (found[0].solved, found[2].solved) == (pytest.approx(found[0].solved), None)
+    assert [run.solved.env_steps for run in found if run.solved] == [800, 400, 1200, 400]
     assert (found[0].env_steps, found[0].relabelled_steps, found[0].search_steps) == (1200, 7, 9)
     assert [run.over for run in found] == [True, True, True, False]
     assert share_done(study, found) == pytest.approx((3 + 400 / 1000) / 4)
@@ -88,9 +90,9 @@ def test_the_table_and_both_views_say_what_is_going_on(tmp_path: Path) -> None:
     assert _counts(found) == "1 of 3 runs finished, 2 waiting"
     for kind, is_terminal in ((_Lines, False), (_Bars, True)):
         console = Console(file=io.StringIO(), force_terminal=is_terminal, width=120)
-        with kind(console, study, False) as view:
-            view.say("hello")
-            view.show(found, 1, last=True)
+        with Screen(console, quiet=False) as screen:
+            screen.say("hello")
+            kind(screen, study).show(found, 1, last=True)
         said = console.file.getvalue()  # pyright: ignore
         assert "hello" in said
         assert "1 of 3 runs finished, 2 waiting" in said
@@ -103,6 +105,22 @@ def test_the_table_and_both_views_say_what_is_going_on(tmp_path: Path) -> None:
         "reacher", "no_hw_opt,trajectories=8", *("1", "of", "3"), *("1", "of", "3"), *("0.000", "M"), *("2.0", "s"),
         "0.750", "0.375",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_the_report_says_of_a_run_what_is_said_while_it_runs(tmp_path: Path, level: float) -> None:
+    study = make_study(tmp_path / "study", 4, level=level)
+    for planned, (success, final) in zip(
+        study.runs, [([0.5, 0.97], 0.9), ([0.1, 0.2], 0.96), ([0.4, 0.3], None), ([], None)], strict=True
+    ):
+        wrote(tmp_path / "study", planned.run, success, final)
+    rows = read_results(tmp_path / "study").runs
+    for row, standing in zip(rows, standings(tmp_path / "study", study), strict=True):
+        for name in ("run", "status", "env_steps", "relabelled_steps", "search_steps", "cpu_seconds",
+                     "sampled_success", "deterministic_success"):  # fmt: skip
+            assert getattr(row, name) == getattr(standing, name), name
+        solved = standing.solved
+        assert row.sampled_solved_steps == (solved.env_steps if solved else None)
 
 
 @pytest.fixture
