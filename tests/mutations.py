@@ -666,9 +666,7 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         "studio/study/report/results.py", "studio/test_study_results.py",
         ("_moved(history), strict=True) if moved]", "_moved(history), strict=True)]"),
-        ("getattr(e, name) >= level", "getattr(e, name) > level"),
         ("_mean(loss[-ENDS:])", "_mean(loss[-1:])"),
-        ("key=lambda e: (e.final, e.iteration)", "key=lambda e: e.iteration"),
         ('self.status in ("finished", "failed")', 'self.status == "finished"'),
     ),
     *_of(
@@ -679,6 +677,21 @@ MUTANTS: tuple[Mutant, ...] = (
         ("better.low > 0.5", "better.value > 0.5"),
         ("last <= FALLS_TO * first", "last <= first"),
         ("row.final < row.initial for row in lengths[2:4]", "row.final < row.initial for row in lengths[2:3]"),
+    ),
+    *_of(
+        f"{CORE}/history.py", "studio/test_study_results.py",
+        ('_success") >= level', '_success") > level'),
+        ("key=lambda e: (e.final, e.iteration)", "key=lambda e: e.iteration"),
+    ),
+    *_of(
+        "studio/study/standing.py", "studio/test_study.py::test_neither_a_pause_nor_the_time_without_a_trainer_is_work",
+        ('event.time if event.status == "running" else None', "event.time"),
+        ("since, at = event.time, reached", "at = reached"),
+    ),
+    *_of(
+        "studio/study/standing.py", "studio/test_study.py::test_what_a_resume_does_again_counts_as_work_both_times",
+        ("reached.get(event.iteration, at)", "at"),
+        ("reached = {0: 0}", "reached: dict[int, int] = {}"),
     ),
     *_of(
         "studio/study/live.py", "studio/test_study_live.py",
