@@ -520,7 +520,13 @@ MUTANTS: tuple[Mutant, ...] = (
         ("self.relabelled_steps += self.hw_nn.fit", "self.relabelled_steps = self.hw_nn.fit"),
     ),
     *_of(
+        f"{CORE}/explorations/gaussian.py", "core/test_checkpoint_fields.py",
+        ('{} if self.directions is None else {"directions": self.directions}', "{}"),
+        ('self.directions = arrays.get("directions")', "pass"),
+    ),
+    *_of(
         f"{CORE}/checkpoint.py", "core/test_checkpoint_fields.py",
+        ('NOTES = "exploration/"', 'NOTES = "notes/"'),
         ('state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]',
          'state.control_start = facts["control_start"]'),
         ('state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]',

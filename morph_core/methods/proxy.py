@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from morph_core.config import Count, NotNegative, Projection, Share
-from morph_core.exploration import Exploration
+from morph_core.exploration import Exploration, Notes
 from morph_core.explorations.design import Design
 from morph_core.method import Method
 from morph_core.morph import morph
@@ -56,6 +56,9 @@ class Morph(Method):
 
     def memory(self, proxy: "HwNN | None") -> Memory:
         return self.search.memory(proxy) if proxy else Memory()
+
+    def notes(self) -> Notes:
+        return self.exploration.notes()
 
     def check(self, task: Task) -> None:
         self.exploration.check(task)
