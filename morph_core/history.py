@@ -19,17 +19,24 @@ from morph_core.protocol import (
     Evaluation,
     Heartbeat,
     InjectDesign,
+    Pause,
     Progress,
+    Resume,
     RunRecord,
     SetAlpha,
     SetProjection,
     StateChanged,
     Status,
+    StepIteration,
+    Stop,
 )
 from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, still_beating
 
 STARTS_WITHIN = 10.0
 """Seconds after its creation in which a run has a heartbeat, unless it is queued."""
+
+_HOLDS = Pause | StepIteration
+"""The commands after which a run holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +132,12 @@ class History:
     def commands(self, iteration: float = math.inf) -> list[Acknowledged]:
         """Return the commands that were obeyed before `iteration`, and not undone by a resume from before them."""
         return [e for e in self._changes if isinstance(e, Acknowledged) and e.iteration < iteration]
+
+    @property
+    def paused_by_user(self) -> bool:
+        """Whether a user has paused the run, and no later command lets it go on or stops it."""
+        said = [e.command for e in self.acknowledged if e.accepted and isinstance(e.command, _HOLDS | Resume | Stop)]
+        return bool(said) and isinstance(said[-1], _HOLDS)
 
     def _begun_with(self) -> InForce:
         space = DesignSpace(tuple(self.record.parameters))

@@ -575,6 +575,12 @@ MUTANTS: tuple[Mutant, ...] = (
         ("[self._record.seed, state.iteration, episodes]", "[time.time_ns()]"),
     ),
     *_of(
+        f"{CORE}/history.py", "core/test_train.py::test_a_pause_holds_until_the_run_is_resumed_or_stopped",
+        ("_HOLDS | Resume | Stop)]", "_HOLDS | Resume)]"),
+        ("_HOLDS | Resume | Stop)]", "_HOLDS | Stop)]"),
+        ("isinstance(said[-1], _HOLDS)", "isinstance(said[-1], Pause)"),
+    ),
+    *_of(
         f"{CORE}/train.py", "core/test_train.py::test_a_budget_ends_a_run_after_the_iteration_that_reaches_it",
         ("state.env_steps >= self._budget", "state.env_steps >= 2 * self._budget"),
         ("% method.evaluation.interval == 0 or self._is_done(state)", "% method.evaluation.interval == 0"),
