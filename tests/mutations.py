@@ -82,6 +82,8 @@ MUTANTS: tuple[Mutant, ...] = (
         ("(-0.5 * ((x", "(-1.0 * ((x"),
         ("self.log_std.clamp_(max=", "self.log_std.clamp_(min="),
         ("orthogonal_(self.mean[-1].weight, 0.01", "orthogonal_(self.mean[-1].weight, 1.0"),
+        ("1.0 if layer is last else math.sqrt(2)", "math.sqrt(2)"),
+        ("nn.init.zeros_(layer.bias)", "pass"),
     ),
     # --- the proxy and Eq. 2 ---
     *_of(
