@@ -51,7 +51,8 @@ class Policy(nn.Module):
         super().__init__()
         box = torch.from_numpy(task.design_space.hard_box) if sees_phi else torch.empty(2, 0)
         self.register_buffer("hard_box", box if sees_phi else None)  # which a checkpoint holds, so that exports know it
-        self.mean = mlp(task.observation_size + box.shape[1], hidden, task.action_size, nn.Tanh, rng, ppo.initial_weights)
+        seen = task.observation_size + box.shape[1]
+        self.mean = mlp(seen, hidden, task.action_size, nn.Tanh, rng, ppo.initial_weights)
         nn.init.orthogonal_(self.mean[-1].weight, 0.01, generator=rng)  # pyright: ignore[reportArgumentType]
         with torch.no_grad():
             self.mean[-1].bias.copy_(torch.from_numpy(task.initial_action))  # pyright: ignore

@@ -270,7 +270,7 @@ def test_orthogonal_weights_keep_lengths_but_for_their_gain() -> None:
         for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), 0.01 if name == "policy" else 1.0), strict=True):
             singular = torch.linalg.svdvals(layer.weight.detach())
             assert singular.tolist() == pytest.approx([gain] * len(singular), rel=1e-4)
-            assert name == "policy" and layer is layers[-1] or not layer.bias.any()
+            assert (name == "policy" and layer is layers[-1]) or not layer.bias.any()
 
 
 def test_uniform_weights_fill_their_range() -> None:
