@@ -17,8 +17,8 @@ from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.state import State, start
 from morph_core.task import Task
 
-DIRECTIONS = "exploration/directions"
-"""Name of `State.directions` among the tensors."""
+NOTES = "exploration/"
+"""What the names of the exploration's notes begin with among the tensors."""
 
 
 def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None:
@@ -94,9 +94,7 @@ def _tensors(state: State) -> dict[str, Tensor]:
     for name, optimizer in state.optimizers.items():
         for index, moments in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}_optimizer/{index}/{key}": value.contiguous() for key, value in moments.items()}
-    if state.directions is not None:
-        tensors[DIRECTIONS] = torch.from_numpy(state.directions)
-    return tensors
+    return tensors | {f"{NOTES}{name}": torch.from_numpy(array) for name, array in state.notes.arrays.items()}
 
 
 def _restore(state: State, tensors: dict[str, Tensor]) -> None:
@@ -110,7 +108,7 @@ def _restore(state: State, tensors: dict[str, Tensor]) -> None:
                 _, index, moment = key.split("/")
                 moments.setdefault(int(index), {})[moment] = value
         optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
-    state.directions = tensors[DIRECTIONS].numpy() if DIRECTIONS in tensors else None
+    state.notes.recall({k.removeprefix(NOTES): v.numpy() for k, v in tensors.items() if k.startswith(NOTES)})
 
 
 def all_finite(state: State) -> bool:

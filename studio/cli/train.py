@@ -13,6 +13,7 @@ import tyro
 from morph_core.catalogue import make_task, read_method
 from morph_core.config import paths_of
 from morph_core.history import History
+from morph_core.protocol import Resume
 from morph_core.run_folder import LAUNCH, RunFolder, process_alive
 from studio import limits
 from studio.cli.arguments import RunsArguments, UsageError, value_after
@@ -121,6 +122,8 @@ def _resumed(wanted: Wanted) -> tuple[RunFolder, int | None]:
     if asked.iterations is None and (history.status == "finished" or history.iteration >= record.iterations):
         done = f"{folder.id} is done after {history.iteration} iterations"
         raise UsageError(f"{done}: give --iterations M for M further ones")
+    if history.paused_by_user:  # else its trainer would come back paused
+        folder.send(Resume())
     return folder, asked.iterations
 
 
@@ -181,7 +184,7 @@ def _document(history: History, outcome: Outcome) -> dict[str, object]:
         "phi": dict(zip(history.design_space.names, history.phi.tolist(), strict=True)),
         "last_evaluation": _evaluation(last),
         "best_evaluation": _evaluation(history.best),
-        "cpu_seconds": max([e.cpu_seconds for e in (*history.progress[-1:], *history.evaluations[-1:])], default=0.0),
+        "cpu_seconds": history.cpu_seconds,
     }
 
 
