@@ -48,6 +48,7 @@ _.mime_type
 _.part_count
 _.part_index
 _.phi_moved
+_.policy_iteration
 _.policy_std
 _.size_bytes
 _.source_component_uuid
