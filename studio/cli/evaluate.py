@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import tyro
@@ -21,6 +21,9 @@ from studio.cli.choice import check_design, open_run
 from studio.cli.export import DesignName
 from studio.evaluator import Evaluator, EvaluatorError
 from studio.what_if import POINTS, SweepPoint, WhatIfs, Wish, phi_of, policy_note
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 @dataclass(frozen=True)
@@ -140,7 +143,6 @@ def _sweep(history: History, wish: Wish, as_json: bool) -> int:
 
 def _print_sweep(points: Sequence[SweepPoint], episodes: int) -> None:
     """Print a line for each value: success and return, each with its interval."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
@@ -155,8 +157,9 @@ def _print_sweep(points: Sequence[SweepPoint], episodes: int) -> None:
             success = _with_interval(m.success, m.success_interval)
             cells = [success, _with_interval(m.episode_return, m.return_interval)]
         table.add_row(point.parameter if first else "", f"{point.value:.4g} {point.unit}".rstrip(), *cells)
-    Console().print(table)
-    Console().print(f"sampled policy, {episodes} episodes on Hw-Phy at each value", soft_wrap=True)
+    console = _console()
+    console.print(table)
+    console.print(f"sampled policy, {episodes} episodes on Hw-Phy at each value", soft_wrap=True)
 
 
 def _evaluate(folder: Path, design: str, episodes: int, phi: list[float] | None) -> subprocess.CompletedProcess[str]:
@@ -171,11 +174,10 @@ def _evaluate(folder: Path, design: str, episodes: int, phi: list[float] | None)
 
 
 def _print_result(result: dict) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    console = _console()
     design = ", ".join(f"{name} {value:.3g}" for name, value in result["phi"].items())
     console.print(Text(f"{result['run']}, iteration {result['iteration']}: {design}"), soft_wrap=True)
     if note := policy_note(result["iteration"], result["policy_iteration"]):
@@ -193,6 +195,15 @@ def _print_result(result: dict) -> None:
         returns = _with_interval(score["episode_return"], score["return_interval"])
         table.add_row(policy, success, *shares, returns, *lost)
     console.print(table)
+
+
+def _console() -> "Console":
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console.width = 200  # a pipe has no width: lines stay whole
+    return console
 
 
 def _with_interval(value: float, ends: Sequence[float]) -> str:
