@@ -56,7 +56,7 @@ def begin(folder: RunFolder, record: RunRecord, task: Task, method: Method) -> B
     if parent.checkpoint != parent.iteration:
         here += f" (its nearest checkpoint up to iteration {parent.iteration})"
     if record.method != theirs.method:
-        return Beginning(state, 0.0, f"{here} with another method: takes along {_adopt(state, before)}; counts from 0")
+        return Beginning(state, 0.0, f"{here} with another method: counts from 0, {_adopt(state, before)}")
     taken, afresh = _go_on(state, before, same_seed=record.seed == theirs.seed)
     return Beginning(state, cpu_seconds, f"{here}: takes along {', '.join(taken)}" + "".join(f"; {a}" for a in afresh))
 
@@ -107,7 +107,9 @@ def _adopt(state: State, before: State) -> str:
         if _fits({name: module}, {n: m for n, m in before.control.modules.items() if n == name})
     ]  # fmt: skip
     restore({name: state.control.modules[name] for name in fitting}, {}, tensors)
-    return ", ".join(["phi", "bounds", *(f"weights of the {name}" for name in fitting)])
+    others = [name for name in state.control.modules if name not in fitting]
+    taken = "takes along " + ", ".join(["phi", "bounds", *(f"weights of the {name}" for name in fitting)])
+    return taken + (f"; {' and '.join(others)} start afresh: their networks have another size" if others else "")
 
 
 def _networks(state: State) -> Mapping[str, nn.Module]:

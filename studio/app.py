@@ -22,7 +22,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, Status
+from morph_core.protocol import Status
 from morph_core.run_folder import RunFolderError
 from studio.api.designs import designs_router, imports_router
 from studio.api.docs import docs_router
@@ -39,7 +39,7 @@ from studio.settings import Settings
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
-from studio.viewer import StartRequest, Viewer
+from studio.viewer import Viewer
 
 SHOW_INTERVAL = 0.2
 """Seconds between two looks at the runs for the viewer."""
@@ -76,25 +76,10 @@ class _GuardedApp(FastAPI):
 def make_viewer(server: viser.ViserServer, runs: Runs) -> Shows:
     """Return the studio's viewer, with what its users ask for passed on to the runs."""
 
-    def on_command(run_id: str, command: AnyCommand) -> None:
-        runs.send(run_id, command)
-
-    def on_start(wish: StartRequest) -> str:
-        return runs.start(
-            task=wish.task,
-            preset=wish.preset,
-            method=wish.method,
-            seed=wish.seed,
-            iterations=wish.iterations,
-            settings=wish.settings,
-            task_options=wish.task_options,
-            parameters=wish.parameters,
-        )
-
     def on_export(run_id: str, which: str, formats: Sequence[str] | None) -> Bundle:
         return build_bundle(runs.get(run_id), which, formats)
 
-    return Viewer(server, on_command=on_command, on_start=on_start, on_resume=runs.resume, on_export=on_export)
+    return Viewer(server, on_command=runs.send, on_start=runs.start, on_resume=runs.resume, on_export=on_export)
 
 
 def create_app(

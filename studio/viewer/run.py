@@ -15,6 +15,7 @@ from morph_core.protocol import (
     StepIteration,
     Stop,
 )
+from studio.log import acknowledgement, describe
 from studio.viewer import wording
 from studio.viewer.rules import rules_of
 
@@ -181,9 +182,9 @@ def log_of(history: History, status: Status, pending: Sequence[AnyCommand]) -> s
     """Return what became of the latest commands, newest first, as HTML; `pending` ones have no answer yet."""
     space = history.design_space
     waiting = "no answer before the run ended" if status in NOT_LIVE else "asked…"
-    lines = [wording.dim(f"{wording.text(wording.describe(c, space))}: {waiting}") for c in reversed(pending)]
+    lines = [wording.dim(f"{wording.text(describe(c, space))}: {waiting}") for c in reversed(pending)]
     for event in reversed(history.acknowledged[-_LOG_LINES:]):
         colour = "inherit" if event.accepted else wording.RED
-        sentence = wording.text(wording.acknowledgement(event, space))
+        sentence = wording.text(acknowledgement(event, space))
         lines.append(f'<span style="color:{colour}">{sentence}</span>')
     return wording.paragraph("<br>".join(lines[:_LOG_LINES])) if lines else ""

@@ -1,38 +1,20 @@
 """The start panel: everything a new run needs, and one button."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import viser
 
 from morph_core.catalogue import METHODS, TASKS, broken_plugins, make_method, make_task
 from morph_core.presets import PRESETS
-from morph_core.protocol import Parameter
 from morph_core.task import Task
 from studio import limits
 from studio.export.design_file import DESIGN_TYPES, Design, phi_for, read_design, starting_from
 from studio.fields import fields_of
+from studio.new_run import StartRun
 from studio.viewer import wording
 from studio.viewer.parts import shows_parts
 from studio.viewer.settings import SettingsForm
 from studio.viewer.take import Shot
-
-
-@dataclass(frozen=True)
-class StartRequest:
-    """A run that somebody wants."""
-
-    task: str
-    preset: str | None
-    method: str
-    seed: int
-    iterations: int
-    settings: dict[str, object]
-    """Settings of the method that differ from the preset, or from the defaults without one, under dotted names."""
-    task_options: dict[str, object]
-    """Fields of the task's dataclass that differ from its defaults."""
-    parameters: list[Parameter] | None = None
-    """The design space, where it does not start from the task's initial design."""
 
 
 class StartPanel:
@@ -42,7 +24,7 @@ class StartPanel:
         self,
         gui: viser.GuiApi,
         *,
-        on_start: Callable[[StartRequest, viser.ClientHandle | None], None],
+        on_start: Callable[[StartRun, viser.ClientHandle | None], None],
         on_preview: Callable[[], None],
     ) -> None:
         """Make the form; `on_preview` is called when another task, task option or design to start from is chosen."""
@@ -117,14 +99,14 @@ class StartPanel:
                 handle.value = str(design.task_options[name])
         self._start_from(design)
 
-    def request(self) -> StartRequest:
+    def request(self) -> StartRun:
         """Return what the form says, or raise ValueError with a sentence that says what is allowed."""
         name, method = self.task.value, self.method.value
         task = make_task(name, self._task_options(name) if name in TASKS else None)
         preset = self._preset()
         settings = self.settings.settings() if method in METHODS else {}
         make_method(method, task, settings, preset)
-        return StartRequest(
+        wish = StartRun(
             task=name,
             preset=preset,
             method=method,
@@ -132,8 +114,8 @@ class StartPanel:
             iterations=limits.iterations(self.iterations.value),
             settings=settings,
             task_options=self._task_options(name),
-            parameters=starting_from(self._design, task.design_space) if self._design else None,
         )
+        return starting_from(self._design, wish, wish.task_options) if self._design else wish
 
     def submit(self, client: viser.ClientHandle | None) -> None:
         """Hand on what the form says, or show why it is not allowed."""

@@ -12,6 +12,7 @@ from morph_core.history import History
 from morph_core.protocol import AnyCommand, InjectDesign, Status
 from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design
+from studio.new_run import StartRun
 from studio.viewer import wording
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
@@ -19,7 +20,7 @@ from studio.viewer.legend import legend_of
 from studio.viewer.player import Player
 from studio.viewer.run import NOT_LIVE, RunPanel
 from studio.viewer.scene import light_up
-from studio.viewer.start import StartPanel, StartRequest
+from studio.viewer.start import StartPanel
 from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
 from studio.viewer.timeline import TimelinePanel
@@ -35,7 +36,7 @@ log = logging.getLogger(__name__)
 class Viewer:
     """The panels and the scene on a viser server; `show` is called a few times a second with fresh histories.
 
-    `on_command(run_id, command)`, `on_start(request)` -> run id, `on_resume(run_id)` and
+    `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)` and
     `on_export(run_id, which, formats)` do what people ask for; they refuse by a ValueError, whose sentence is shown.
     """
 
@@ -43,8 +44,8 @@ class Viewer:
         self,
         server: viser.ViserServer,
         *,
-        on_command: Callable[[str, AnyCommand], None],
-        on_start: Callable[[StartRequest], str],
+        on_command: Callable[[str, AnyCommand, str], object],
+        on_start: Callable[[StartRun], str],
         on_resume: Callable[[str], None],
         on_export: Callable[[str, str, Sequence[str]], Bundle],
     ) -> None:
@@ -144,7 +145,7 @@ class Viewer:
         try:
             wanted = commands()  # all are checked before the first one leaves
             for command in wanted:
-                self._on_command(run_id, command)
+                self._on_command(run_id, command, _sender(client))
                 with self._lock:
                     self._pending.setdefault(run_id, []).append((command, answered))
         except (ValueError, OSError) as error:
@@ -153,7 +154,7 @@ class Viewer:
         self.tell(None if wanted else "nothing was changed: nothing to apply")
         self._refresh()
 
-    def _start(self, request: StartRequest, client: viser.ClientHandle | None) -> None:
+    def _start(self, request: StartRun, client: viser.ClientHandle | None) -> None:
         del client
         self.select(self._on_start(request))
 
@@ -301,3 +302,8 @@ class Viewer:
         self.timeline.show_time(seconds, duration)
         if self.player.take:
             self.timeline.show_legend(legend_of(self.player.take))
+
+
+def _sender(client: viser.ClientHandle | None) -> str:
+    """Return words on who asked for something in the viewer, for the log of a run."""
+    return f"studio, browser {client.client_id}" if client is not None else "studio"

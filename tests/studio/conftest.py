@@ -29,9 +29,10 @@ from studio.bridge import MAX_MESSAGE
 from studio.export.bundle import Bundle
 from studio.export.check import Check
 from studio.export.design_file import Design, Value
+from studio.new_run import StartRun
 from studio.runs import Runs
 from studio.settings import Settings
-from studio.viewer import StartRequest, Viewer
+from studio.viewer import Viewer
 from studio.viewer.take import Take
 
 ROOT = Path(__file__).parents[2]
@@ -174,7 +175,7 @@ class Page:
     server: viser.ViserServer
     viewer: Viewer
     commands: list[tuple[str, AnyCommand]] = field(default_factory=list)
-    started: list[StartRequest] = field(default_factory=list)
+    started: list[StartRun] = field(default_factory=list)
     resumed: list[str] = field(default_factory=list)
     exported: list[tuple[str, str, list[str]]] = field(default_factory=list)
     refusal: str | None = None
@@ -201,7 +202,7 @@ def page() -> Iterator[Page]:
             raise ValueError(page.refusal)
         ask()
 
-    def start(request: StartRequest) -> str:
+    def start(request: StartRun) -> str:
         heed(lambda: page.started.append(request))
         return NAME
 
@@ -211,7 +212,7 @@ def page() -> Iterator[Page]:
 
     viewer = Viewer(
         server,
-        on_command=lambda run_id, command: heed(lambda: page.commands.append((run_id, command))),
+        on_command=lambda run_id, command, _: heed(lambda: page.commands.append((run_id, command))),
         on_start=start,
         on_resume=lambda run_id: heed(lambda: page.resumed.append(run_id)),
         on_export=export,
