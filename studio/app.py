@@ -31,6 +31,7 @@ from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.runs import runs_router
 from studio.api.study import study_router
 from studio.api.tasks import tasks_router
+from studio.branches import tree_of
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
 from studio.export.bundle import Bundle, build_bundle
 from studio.runs import Runs
@@ -79,7 +80,14 @@ def make_viewer(server: viser.ViserServer, runs: Runs) -> Shows:
     def on_export(run_id: str, which: str, formats: Sequence[str] | None) -> Bundle:
         return build_bundle(runs.get(run_id), which, formats)
 
-    return Viewer(server, on_command=runs.send, on_start=runs.start, on_resume=runs.resume, on_export=on_export)
+    return Viewer(
+        server,
+        on_command=runs.send,
+        on_start=runs.start,
+        on_resume=runs.resume,
+        on_export=on_export,
+        family=lambda run_id: tree_of(run_id, runs.parents()),
+    )
 
 
 def create_app(

@@ -25,6 +25,7 @@ from morph_core.history import History
 from morph_core.protocol import FORMAT, AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
 from studio.app import create_app
+from studio.branches import Member
 from studio.bridge import MAX_MESSAGE
 from studio.export.bundle import Bundle
 from studio.export.check import Check
@@ -179,6 +180,7 @@ class Page:
     resumed: list[str] = field(default_factory=list)
     exported: list[tuple[str, str, list[str]]] = field(default_factory=list)
     refusal: str | None = None
+    family: Member | None = None
 
     def show(self, folder: RunFolder, status: Status | None = None, message: str = "") -> History:
         history = History(folder)
@@ -216,6 +218,7 @@ def page() -> Iterator[Page]:
         on_start=start,
         on_resume=lambda run_id: heed(lambda: page.resumed.append(run_id)),
         on_export=export,
+        family=lambda _: page.family,
     )
     page = Page(server, viewer)
     yield page
