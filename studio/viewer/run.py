@@ -53,7 +53,7 @@ class RunPanel:
             "run", tuple(_MORE), hint="Step: one iteration, then hold. Stop: save and end; it can be resumed."
         )
         self.branch = gui.add_button(
-            "Branch from here", icon=viser.Icon.GIT_BRANCH,
+            "Branch from here", icon=viser.Icon.GIT_BRANCH, color="gray",
             hint="A new run that goes on from the iteration that the timeline shows, with other bounds or settings (B)",
         )  # fmt: skip
         self.log = gui.add_html("")

@@ -46,7 +46,6 @@ class StartPanel:
         with self.folder:
             self.notice = gui.add_html("", visible=False)
             self.source = gui.add_html("", visible=False)
-            self.forget = gui.add_button("Start from the initial design", icon=viser.Icon.X, visible=False)
             self.task = gui.add_dropdown("task", list(TASKS), initial_value=first, hint="What the robot has to do.")
             self.options = {name: self._add_options(gui, name) for name in TASKS}
             self.method = gui.add_dropdown("method", list(METHODS), hint=_methods_hint())
@@ -68,10 +67,12 @@ class StartPanel:
                 "Start from a design…", icon=viser.Icon.UPLOAD, mime_type=DESIGN_TYPES,
                 hint="A design.json, or an exported zip: the run begins with it instead of the initial design",
             )  # fmt: skip
+            self.forget = gui.add_button("Start from the initial design", icon=viser.Icon.X, visible=False)
         self.start.on_click(lambda event: self.submit(event.client))
         self.task.on_update(lambda _: self._choose_task())
         self.method.on_update(lambda _: self._choose_method())
         self.preset.on_update(lambda _: self._choose_method())
+        self.seed.on_update(lambda _: self._show_source())
         self._choose_method()
         if broken := broken_plugins():
             self.tell("; ".join(f"plug-in left out: {plugin}" for plugin in broken), wording.AMBER)
@@ -244,14 +245,10 @@ class StartPanel:
         if origin.checkpoint is None:
             return "the same run again, but for what is changed here"
         if self.method.value != origin.record.method:
-            return (
-                "another method counts from 0, and takes along φ, bounds and, where they fit, the weights of policy "
-                "and critic"
-            )
-        return (
-            "it counts on from there, with φ, bounds, policy, critic and proxy and, with the same seed, the random "
-            "state; what has another size with other settings starts afresh"
-        )
+            return "another method counts from 0, with φ, bounds and the weights of policy and critic, where they fit"
+        if self.seed.value != origin.record.seed:
+            return "counts on with all that was learnt there, and with random numbers of another seed"
+        return "counts on with all that was learnt there"
 
     def _choose_task(self) -> None:
         chosen = self.task.value
