@@ -126,7 +126,7 @@ def phi_for(design: Design, task: str, space: DesignSpace) -> np.ndarray:
 
 
 def starting_from(design: Design, wish: StartRun, task_options: dict[str, object] | None = None) -> StartRun:
-    """Return the wish for a run that starts from the design, in its task and with the task's own bounds.
+    """Return the wish for a run that starts from the design, in its task, with the bounds and locks that are wished for.
 
     `task_options` are by default those of the design. Raise ExportError unless the design fits its task.
     """
@@ -136,7 +136,9 @@ def starting_from(design: Design, wish: StartRun, task_options: dict[str, object
     except (ValueError, TypeError) as error:
         raise ExportError(f"this design is for a task that can't be had: {error}") from error
     phi = phi_for(design, design.task, space)
-    begun = [msgspec.structs.replace(p, initial=float(v)) for p, v in zip(space.parameters, phi, strict=True)]
+    wanted = {p.name: p for p in wish.parameters or ()}
+    held = zip(space.parameters, phi.tolist(), strict=True)
+    begun = [msgspec.structs.replace(wanted.get(p.name, p), initial=value) for p, value in held]
     return msgspec.structs.replace(
         wish, task=design.task, task_options=options, parameters=begun,
         parent=Parent(design.run, design.iteration),
