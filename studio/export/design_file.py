@@ -126,7 +126,7 @@ def phi_for(design: Design, task: str, space: DesignSpace) -> np.ndarray:
 
 
 def starting_from(design: Design, wish: StartRun, task_options: dict[str, object] | None = None) -> StartRun:
-    """Return the wish for a run that starts from the design, in its task, with the bounds and locks that are wished for.
+    """Return the wish for a run of its task that starts from the design, with the bounds and locks wished for.
 
     `task_options` are by default those of the design. Raise ExportError unless the design fits its task.
     """
