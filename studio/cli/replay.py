@@ -49,12 +49,7 @@ def main(words: Sequence[str]) -> int:
         first = history.begins_at + 1
         allowed = f"{first} to {history.iteration}" if first <= history.iteration else "it has no iteration yet"
         raise UsageError(f"replay: --until must be an iteration of {history.folder.id} ({allowed}), not {last}")
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "morph_core.replay", "--run", str(history.folder.path.resolve()),
-         "--until", str(last)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=trainer_environment(), start_new_session=True,
-    )  # fmt: skip
-    with _ends_with_us(process) as signals:
+    with _replaying(history, last) as (process, signals):
         reached, found = _read(process, history, last, quiet=arguments.json)
         trouble = process.communicate()[1].strip().splitlines()
     if signals:
@@ -74,17 +69,24 @@ def main(words: Sequence[str]) -> int:
 
 
 @contextlib.contextmanager
-def _ends_with_us(process: subprocess.Popen[str]) -> Iterator[list[int]]:
-    """End the process when we are told to end; collect the signals that told us."""
+def _replaying(history: History, last: int) -> Iterator[tuple[subprocess.Popen[str], list[int]]]:
+    """Replay in a process of its own, which needs torch; it ends when we are told to end, by the signals collected."""
     signals: list[int] = []
+    process: subprocess.Popen[str] | None = None
 
     def end(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
         signals.append(number)
-        process.kill()  # it writes nothing
+        if process is not None:
+            process.kill()  # it writes nothing
 
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "morph_core.replay", "--run", str(history.folder.path.resolve()),
+         "--until", str(last)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=trainer_environment(), start_new_session=True,
+    )  # fmt: skip
     try:
-        yield signals
+        yield process, signals
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -1,12 +1,18 @@
 """Branches and logs in the studio: what can be wished for, what is refused, and how both are shown everywhere."""
 
 import json
+import re
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import psutil
 import pytest
 from conftest import Page, Served, design_of, make_run
 from hypothesis import given
@@ -23,6 +29,7 @@ from studio.branches import Member, children_of, place_in_words, tree_of, trees
 from studio.cli import run
 from studio.log import log_of
 from studio.new_run import Branch, StartRun, method_at, prepare_run, resettled
+from studio.trainers import spawn_trainer
 
 TINY = {
     "trajectories": 4,
@@ -558,3 +565,43 @@ def test_a_branch_begins_on_the_timeline_where_its_parent_was(page: Page, parent
     assert timeline.iteration.value == 2
     page.show(folder)
     assert "initial design" in timeline.what.content
+
+
+# --- real processes ---------------------------------------------------------------------------------------------------
+
+
+def wait_until(history: History, claim: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 100
+    while not claim():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+        history.poll()
+
+
+@pytest.mark.slow
+def test_a_branch_that_was_killed_ends_where_its_parent_did_and_is_replayed(tmp_path: Path) -> None:
+    parent = prepare_run(tmp_path, StartRun(task="reacher", iterations=12, settings=TINY))
+    assert spawn_trainer(parent).wait(100) == 0
+    theirs = {p.iteration: p.phi for p in History(parent).progress}
+    child = prepare_run(tmp_path, StartRun(branch=Branch(parent.id, 5)))
+    shutil.rmtree(parent.path)
+    trainer, history = spawn_trainer(child), History(child)
+    wait_until(history, lambda: history.iteration >= 7)
+    trainer.kill()
+    trainer.wait()
+    assert spawn_trainer(child).wait(100) == 0
+    history.poll()
+    assert [p.iteration for p in history.progress] == list(range(5, 13))
+    assert all(p.phi == theirs[p.iteration] for p in history.progress)
+
+    command = [sys.executable, "-m", "studio.cli", "replay", str(child.path), "--check"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert (done.returncode, done.stdout.count("the same to the last bit")) == (0, 1), done.stderr
+    stopped = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    while not psutil.Process(stopped.pid).children():
+        assert stopped.poll() is None
+        time.sleep(0.05)
+    stopped.send_signal(signal.SIGINT)
+    said = stopped.communicate(timeout=30)[1]
+    assert stopped.returncode == 130, said
+    assert re.search(r"stopped: phi is the same up to iteration \d+", said)
