@@ -14,7 +14,13 @@ from morph_core.train import Trainer
 from studio.new_run import StartRun, prepare_run
 
 pytestmark = pytest.mark.browser
-TINY = {"trajectories": 4, "proxy.prefit": 5, "hidden": 8, "evaluation.interval": 2, "evaluation.episodes": 2}
+TINY: dict[str, object] = {
+    "trajectories": 4,
+    "proxy.prefit": 5,
+    "hidden": 8,
+    "evaluation.interval": 2,
+    "evaluation.episodes": 2,
+}
 
 
 def finished_run(runs: Path) -> RunFolder:

@@ -22,7 +22,7 @@ from morph_core.catalogue import SEARCHES, make_method, make_task
 from morph_core.config import flattened, paths_of
 from morph_core.history import History
 from morph_core.origin import origin_at
-from morph_core.protocol import InjectDesign, Lock, Parameter, Parent, RunRecord, SetAlpha, StateChanged
+from morph_core.protocol import AnyCommand, InjectDesign, Lock, Parameter, Parent, RunRecord, SetAlpha, StateChanged
 from morph_core.run_folder import EventLog, RunFolder
 from morph_core.train import Trainer
 from studio.branches import Member, children_of, place_in_words, tree_of, trees
@@ -325,12 +325,16 @@ def test_the_api_refuses_a_branch_in_words(served: Served, body: object, status:
     assert served.runs.ids() == ["ended"]
 
 
-def test_the_api_names_its_caller_to_the_log(served: Served) -> None:
+def test_the_api_names_its_caller_to_the_log(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     run_id = served.client.post("/api/runs", json={"task": "reacher"}).json()["id"]
     sent: list[str] = []
-    served.runs.send, before = (lambda *words: sent.append(words[2]) or 1), served.runs.send
+
+    def send(_run: str, _command: AnyCommand, sender: str = "") -> int:
+        sent.append(sender)
+        return 1
+
+    monkeypatch.setattr(served.runs, "send", send)
     served.client.post(f"/api/runs/{run_id}/commands", json={"type": "pause"})
-    served.runs.send = before
     assert sent == ["API, 127.0.0.1"]
 
 
