@@ -91,3 +91,7 @@ _.__dir__
 _.__getattr__
 _.forward
 _.memo
+
+# The command line reads them in the JSON that a replay prints.
+_.recorded_on
+_.replayed_on

@@ -182,9 +182,14 @@ class History:
         return self.state.message if self.state else ""
 
     @property
+    def begins_at(self) -> int:
+        """Iteration from which the run counts on; 0 but for a branch that goes on where its parent was."""
+        return self.record.begins_at
+
+    @property
     def iteration(self) -> int:
-        """Last iteration that was recorded; 0 before the first."""
-        return self.progress[-1].iteration if self.progress else 0
+        """Last iteration that was recorded; before the first, that from which the run counts on."""
+        return self.progress[-1].iteration if self.progress else self.begins_at
 
     @property
     def planned_iterations(self) -> int | None:
@@ -224,7 +229,7 @@ class History:
         return max((e.cpu_seconds for e in (*self.progress[-1:], *self.evaluations[-1:])), default=0.0)
 
     def design(self, which: str) -> tuple[int, np.ndarray]:
-        """Return iteration and phi (d,) of "best", "latest", or an iteration; 0 is the initial design.
+        """Return iteration and phi (d,) of "best", "latest", or an iteration; 0 is the initial design, of a branch too.
 
         Raise RunFolderError that says what is allowed.
         """
@@ -233,14 +238,15 @@ class History:
         if which == "best":
             best = self.best
             return (best.iteration, np.array(best.phi)) if best else (self.iteration, self.phi)
-        if which == "0":
-            return 0, self.initial_phi
+        if which in ("0", str(self.begins_at)):
+            return self.begins_at, self.initial_phi
         if not which.isdecimal():
             raise RunFolderError(f'no design "{which[:40]}"; choose best, latest or an iteration (0: the initial one)')
         for progress in self.progress:
             if progress.iteration == int(which):
                 return progress.iteration, np.array(progress.phi)
-        raise RunFolderError(f"{self.folder.id} has no iteration {which}; choose best, latest or 0 to {self.iteration}")
+        allowed = f"choose best, latest or {self.begins_at} to {self.iteration}"
+        raise RunFolderError(f"{self.folder.id} has no iteration {which}; {allowed}")
 
 
 def _after(event: Progress | Acknowledged | DesignSpaceChanged, before: InForce) -> InForce:

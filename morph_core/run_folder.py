@@ -8,7 +8,7 @@ import platform
 import re
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,10 +29,14 @@ STUDY = "study.json"
 """File beside run folders that makes them one study: its plan."""
 REPORT = "report"
 """Folder beside run folders that holds the report of their study."""
+ORIGIN = "origin"
+"""Folder in that of a branch which holds what it took along of its parent: run.json and one checkpoint."""
 LAUNCH = "launch.json"
 """File in a run folder that says by whom its trainer is started."""
 SAID_ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
 """Statuses by which a trainer says that it has ended."""
+LONGEST_SENDER = 200
+"""Largest number of characters that are kept of who sent a command."""
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -168,15 +172,18 @@ class RunFolder:
 
     # --- the inbox ---
 
-    def send(self, command: AnyCommand) -> int:
-        """Put a command into the inbox and return the id by which it will be acknowledged."""
+    def send(self, command: AnyCommand, sender: str = "") -> int:
+        """Put a command into the inbox and return the id by which it will be acknowledged.
+
+        `sender` says in words who sends it and by which way.
+        """
         self.commands.mkdir(exist_ok=True)
         taken = [int(p.stem) for p in self.commands.iterdir() if p.stem.isdigit()]
         acknowledged = [e.id for e in self.read_events()[0] if isinstance(e, protocol.Acknowledged)]
         number = max(taken + acknowledged, default=0) + 1
         while True:
             draft = self.commands / f".{number:06d}.{os.getpid()}.{time.monotonic_ns()}"
-            durable.write_file(draft, protocol.encode(Order(number, command)))
+            durable.write_file(draft, protocol.encode(Order(number, command, sender[:LONGEST_SENDER])))
             try:
                 os.link(draft, self.commands / f"{number:06d}.json")  # fails where rename would replace another's
                 return number
@@ -234,8 +241,11 @@ def _is_report(path: Path) -> bool:
     return path.name == REPORT and (path.parent / STUDY).exists()
 
 
-def create_run(runs: Path, record: RunRecord) -> RunFolder:
-    """Write a new run folder: whole or not at all. Raise RunFolderError if the name is taken."""
+def create_run(runs: Path, record: RunRecord, files: Mapping[str, bytes] | None = None) -> RunFolder:
+    """Write a new run folder: whole or not at all. Raise RunFolderError if the name is taken.
+
+    `files` are written into it, by their path in the folder.
+    """
     if not RUN_ID.fullmatch(record.id):
         raise RunFolderError(f"{record.id!r} is no run name: letters, digits, dot, dash and underscore, at most 128")
     runs.mkdir(parents=True, exist_ok=True)
@@ -246,6 +256,9 @@ def create_run(runs: Path, record: RunRecord) -> RunFolder:
                 (draft / folder).mkdir()
             (draft / "run.json").write_bytes(msgspec.json.format(protocol.encode(record), indent=2))
             (draft / "events.jsonl").touch()
+            for name, content in (files or {}).items():
+                (draft / name).parent.mkdir(parents=True, exist_ok=True)
+                (draft / name).write_bytes(content)
     except OSError:
         if target.exists():
             raise RunFolderError(f"a run named {record.id} is there already") from None

@@ -23,7 +23,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, Parent, Status
+from morph_core.protocol import Status
 from morph_core.run_folder import RunFolderError
 from studio.api.designs import designs_router, imports_router
 from studio.api.docs import docs_router
@@ -33,16 +33,18 @@ from studio.api.runs import runs_router
 from studio.api.study import study_router
 from studio.api.tasks import tasks_router
 from studio.api.what_if import what_if_router
+from studio.branches import tree_of
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
 from studio.evaluator import Evaluator, EvaluatorError
 from studio.export.bundle import Bundle, build_bundle
+from studio.new_run import Branch, StartRun
 from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
-from studio.viewer import StartRequest, Viewer
+from studio.viewer import Viewer
 from studio.what_if import WhatIfs
 
 SHOW_INTERVAL = 0.2
@@ -80,48 +82,34 @@ class _GuardedApp(FastAPI):
 def make_viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Shows:
     """Return the studio's viewer, with what its users ask for passed on to the runs."""
 
-    def on_command(run_id: str, command: AnyCommand) -> None:
-        runs.send(run_id, command)
-
-    def on_start(wish: StartRequest) -> str:
-        return runs.start(
-            task=wish.task,
-            preset=wish.preset,
-            method=wish.method,
-            seed=wish.seed,
-            iterations=wish.iterations,
-            settings=wish.settings,
-            task_options=wish.task_options,
-            parameters=wish.parameters,
-        )
-
     def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
-        return runs.start(**_branch(runs.get(run_id), iteration, phi))
+        return runs.start(_branch(runs.get(run_id), iteration, phi))
 
     def on_export(run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None) -> Bundle:
         return build_bundle(runs.get(run_id), which, formats, phi)
 
     return Viewer(
-        server, on_command=on_command, on_start=on_start, on_resume=runs.resume, on_branch=on_branch,
-        on_export=on_export, answers=what_ifs,
-    )  # fmt: skip
+        server,
+        on_command=runs.send,
+        on_start=runs.start,
+        on_resume=runs.resume,
+        on_branch=on_branch,
+        on_export=on_export,
+        answers=what_ifs,
+        family=lambda run_id: tree_of(run_id, runs.parents()),
+    )
 
 
-def _branch(history: History, iteration: int, phi: Sequence[float]) -> dict[str, object]:
-    """Return the wish for a run like this one that begins with phi (d,), under the bounds and locks of an iteration;
+def _branch(history: History, iteration: int, phi: Sequence[float]) -> StartRun:
+    """Return the wish for a branch of a run that goes on with phi (d,), under the bounds and locks of an iteration;
     they give way where phi lies beyond them."""
-    record = history.record
     parameters = [
         msgspec.structs.replace(
             p, lo=min(p.lo, value), hi=max(p.hi, value), initial=value, locked_at=None if p.locked_at is None else value
         )
         for p, value in zip(history.at(iteration).space.parameters, phi, strict=True)
     ]
-    return {
-        "task": record.task, "task_options": record.task_options, "method": record.method, "settings": record.config,
-        "seed": record.seed, "iterations": record.iterations, "parameters": parameters,
-        "parent": Parent(record.id, iteration),
-    }  # fmt: skip
+    return StartRun(branch=Branch(history.record.id, iteration), parameters=parameters)
 
 
 def create_app(

@@ -6,7 +6,6 @@ from typing import Annotated
 import anyio.to_thread
 from fastapi import APIRouter, Query, Request, Response
 
-from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import InjectDesign
 from morph_core.run_folder import RunFolderError
@@ -22,10 +21,12 @@ from studio.api.messages import (
     gives,
     gives_file,
     reply,
+    sender_of,
 )
 from studio.api.runs import state_of
 from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design, starting_from
+from studio.new_run import StartRun
 from studio.runs import Runs
 
 MAX_EPISODE = 256 << 20
@@ -45,7 +46,10 @@ Export = Callable[[History, str, list[str] | None, list[float] | None], Bundle]
 def designs_of(history: History) -> Designs:
     """Return the evolution of phi in a run."""
     parameters = history.record.parameters
-    path = [Design(0, history.initial_phi.tolist()), *(Design(p.iteration, p.phi) for p in history.progress)]
+    path = [
+        Design(history.begins_at, history.initial_phi.tolist()),
+        *(Design(p.iteration, p.phi) for p in history.progress),
+    ]
     best, latest = history.design("best")[0], history.design("latest")[0]
     return Designs([p.name for p in parameters], [p.unit for p in parameters], best, latest, path)
 
@@ -131,7 +135,7 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         def send() -> int:
             history = runs.get(run_id)
             phi = phi_for(read_design(content), history.record.task, history.design_space)
-            return runs.send(run_id, InjectDesign(phi.tolist()))
+            return runs.send(run_id, InjectDesign(phi.tolist()), sender_of(request))
 
         return reply(Accepted(await anyio.to_thread.run_sync(send)), 202)
 
@@ -153,16 +157,8 @@ def imports_router(runs: Runs) -> APIRouter:
         content = await request.body()
 
         def begin() -> RunState:
-            design = read_design(content)
-            try:
-                space = make_task(design.task, design.task_options).design_space
-            except TypeError as error:
-                raise ValueError(f"an option of {design.task[:40]} has the wrong type: {error}") from error
-            run_id = runs.start(
-                task=design.task, task_options=design.task_options, method=method, seed=seed, iterations=iterations,
-                parameters=starting_from(design, space),
-            )  # fmt: skip
-            return state_of(runs, run_id)
+            wish = StartRun(method=method, seed=seed, iterations=iterations)
+            return state_of(runs, runs.start(starting_from(read_design(content), wish)))
 
         return reply(await anyio.to_thread.run_sync(begin), 201)
 

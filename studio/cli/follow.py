@@ -18,6 +18,7 @@ from morph_core.protocol import Status, Stop
 from morph_core.run_folder import RunFolder
 from studio.cli.terminal import Cadence, Screen, in_words
 from studio.inquest import Child, start_child
+from studio.log import sender_here
 
 POLL_SECONDS = 0.2
 LINE_SECONDS = 5.0
@@ -59,7 +60,7 @@ def _wait(child: Child, presses: list[int], screen: Screen) -> None:
         view.show(history)
         if presses and heard == 0:
             heard = 1
-            child.folder.send(Stop())
+            child.folder.send(Stop(), sender_here("Ctrl-C"))
             screen.say("stopping after this iteration; Ctrl-C again ends it at once")
         elif len(presses) > 1 and heard == 1:
             heard = 2

@@ -9,17 +9,21 @@ import numpy as np
 import viser
 
 from morph_core.history import History
+from morph_core.origin import origin_at
 from morph_core.protocol import AnyCommand, InjectDesign, Status
+from studio.branches import Member
 from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design
+from studio.new_run import StartRun
 from studio.viewer import wording
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
 from studio.viewer.legend import legend_of
+from studio.viewer.log import LogPanel
 from studio.viewer.player import Player
 from studio.viewer.run import NOT_LIVE, RunPanel
 from studio.viewer.scene import light_up
-from studio.viewer.start import StartPanel, StartRequest
+from studio.viewer.start import StartPanel
 from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
 from studio.viewer.timeline import TimelinePanel
@@ -36,22 +40,23 @@ log = logging.getLogger(__name__)
 class Viewer:
     """The panels and the scene on a viser server; `show` is called a few times a second with fresh histories.
 
-    `on_command(run_id, command)`, `on_start(request)` -> run id, `on_resume(run_id)`,
+    `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)`,
     `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
     one)` do what people ask for; they refuse by a ValueError, whose sentence is shown. `answers` say how good a policy
-    is on a changed design.
+    is on a changed design, and `family(run_id)` is the tree in which a run stands.
     """
 
     def __init__(
         self,
         server: viser.ViserServer,
         *,
-        on_command: Callable[[str, AnyCommand], None],
-        on_start: Callable[[StartRequest], str],
+        on_command: Callable[[str, AnyCommand, str], object],
+        on_start: Callable[[StartRun], str],
         on_resume: Callable[[str], None],
         on_branch: Callable[[str, int, list[float]], str],
         on_export: Callable[[str, str, Sequence[str] | None, list[float] | None], Bundle],
         answers: Answers,
+        family: Callable[[str], Member | None],
     ) -> None:
         self._server = server
         self._on_command = on_command
@@ -59,6 +64,8 @@ class Viewer:
         self._on_resume = on_resume
         self._on_branch = on_branch
         self._on_export = on_export
+        self._family = family
+        self._tree: tuple[object, Member | None] = (None, None)
         self._lock = threading.RLock()
         self._histories: Mapping[str, History] = {}
         self._statuses: Mapping[str, tuple[Status, str]] = {}
@@ -78,7 +85,9 @@ class Viewer:
         self.start = StartPanel(gui, on_start=self._start, on_preview=self._refresh)
         self.tabs = gui.add_tab_group()
         with self.tabs.add_tab("Run", viser.Icon.ACTIVITY):
-            self.run = RunPanel(gui, send=self._send, on_resume=self._resume)
+            self.run = RunPanel(gui, send=self._send, on_resume=self._resume, on_branch=self._open_branch)
+        with self.tabs.add_tab("Log", viser.Icon.HISTORY):
+            self.log = LogPanel(gui, on_open=self.select)
         with self.tabs.add_tab("Export", viser.Icon.DOWNLOAD):
             self.export = ExportPanel(gui, on_export=self._export, on_import=self._import)
         left = gui.add_panel()
@@ -162,7 +171,7 @@ class Viewer:
         try:
             wanted = commands()  # all are checked before the first one leaves
             for command in wanted:
-                self._on_command(run_id, command)
+                self._on_command(run_id, command, _sender(client))
                 with self._lock:
                     self._pending.setdefault(run_id, []).append((command, answered))
         except (ValueError, OSError) as error:
@@ -171,9 +180,24 @@ class Viewer:
         self.tell(None if wanted else "nothing was changed: nothing to apply")
         self._refresh()
 
-    def _start(self, request: StartRequest, client: viser.ClientHandle | None) -> None:
+    def _start(self, request: StartRun, client: viser.ClientHandle | None) -> None:
         del client
-        self.select(self._on_start(request))
+        started = self._on_start(request)
+        self.start.branch_from(None)
+        self.select(started)
+
+    def _open_branch(self, client: viser.ClientHandle | None) -> None:
+        """Open the form for a run that begins where the timeline stands."""
+        history = self._histories.get(self._selected or "")
+        if history is None:
+            self.refuse("there is no run to branch from: start or choose one", client)
+            return
+        try:
+            self.start.branch_from(origin_at(history, self._shown_design(history)[0]))
+        except (ValueError, TypeError) as error:
+            self.refuse(str(error), client)
+            return
+        self.select(None)
 
     def _resume(self, client: viser.ClientHandle | None) -> None:
         run_id = self._selected
@@ -232,6 +256,7 @@ class Viewer:
         if chosen != NEW_RUN and chosen not in known:
             self.refuse(f'unknown run "{chosen}"; choose one of the list', client)
             return
+        self.start.branch_from(None)
         self.select(None if chosen == NEW_RUN else known[chosen])
 
     def _add_commands(self, gui: viser.GuiApi) -> None:
@@ -240,6 +265,8 @@ class Viewer:
         for hotkey in ("space", "K"):
             playback = gui.add_command("Play or pause the episode", hotkey=hotkey, icon=viser.Icon.PLAYER_PLAY)
             playback.on_trigger(lambda _: self.timeline.toggle_playback())
+        branch = gui.add_command("Branch from the shown iteration", hotkey="B", icon=viser.Icon.GIT_BRANCH)
+        branch.on_trigger(lambda event: self._open_branch(event.client) if self._selected else None)
         follow = gui.add_command("Follow the latest design", hotkey="F", icon=viser.Icon.PLAYER_TRACK_NEXT)
         follow.on_trigger(lambda _: self.timeline.toggle_follow())
 
@@ -266,6 +293,8 @@ class Viewer:
             self.export.update(history)
             self.timeline.update(history, live=live, by_hand=self.what_if.is_changed)
             shown, phi = self._shown_design(history)
+            self.run.offer_branch(shown)
+            self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
             self.what_if.update(history, shown, phi, live=live, following=self.timeline.follow.value)
             self.player.show(self._shot(history, shown, phi))
@@ -276,6 +305,13 @@ class Viewer:
             history = self._histories.get(self._selected or "")
             if history is not None:
                 self.player.show(self._shot(history, *self._shown_design(history)))
+
+    def _family_of(self, run_id: str) -> Member | None:
+        """Return the tree in which a run stands, found anew whenever another run is shown or runs come or go."""
+        known = run_id, tuple(self._histories)
+        if self._tree[0] != known:
+            self._tree = known, self._family(run_id)
+        return self._tree[1]
 
     def _show_nothing(self, run_id: str | None) -> None:
         """Show the start panel, or why a run can't be shown."""
@@ -328,7 +364,7 @@ class Viewer:
             phi=tuple(in_front.tolist()),
             episode=None if self.what_if.open else recorded,
             played=self.what_if.episode if self.what_if.open else None,
-            ghost=before if self.timeline.ghost.value and (changed or shown > 0 or recorded) else None,
+            ghost=before if self.timeline.ghost.value and (changed or shown > history.begins_at or recorded) else None,
             ghost_name=name,
             trail=tuple(self.timeline.earlier(history)),
             printed=self.timeline.printed.value,
@@ -355,3 +391,8 @@ class Viewer:
         self.timeline.show_time(seconds, duration)
         if self.player.take:
             self.timeline.show_legend(legend_of(self.player.take))
+
+
+def _sender(client: viser.ClientHandle | None) -> str:
+    """Return words on who asked for something in the viewer, for the log of a run."""
+    return f"studio, browser {client.client_id}" if client is not None else "studio"

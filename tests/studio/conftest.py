@@ -28,14 +28,16 @@ from morph_core.protocol import FORMAT, AnyCommand, Evaluation, Progress, RunRec
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
 from morph_core.what_if import Measured
 from studio.app import create_app
+from studio.branches import Member
 from studio.bridge import MAX_MESSAGE
 from studio.cancellation import Cancellation
 from studio.export.bundle import Bundle
 from studio.export.check import Check
 from studio.export.design_file import Design, Value
+from studio.new_run import StartRun
 from studio.runs import Runs
 from studio.settings import Settings
-from studio.viewer import StartRequest, Viewer
+from studio.viewer import Viewer
 from studio.viewer.take import Take
 from studio.what_if import SweepPoint, WhatIf, WhatIfs, Wish, sweep_designs
 
@@ -237,7 +239,7 @@ class Page:
     server: viser.ViserServer
     viewer: Viewer
     commands: list[tuple[str, AnyCommand]] = field(default_factory=list)
-    started: list[StartRequest] = field(default_factory=list)
+    started: list[StartRun] = field(default_factory=list)
     resumed: list[str] = field(default_factory=list)
     exported: list[tuple[str, str, list[str]]] = field(default_factory=list)
     changed: list[list[float]] = field(default_factory=list)
@@ -245,6 +247,7 @@ class Page:
     branched: list[tuple[str, int, list[float]]] = field(default_factory=list)
     answers: Oracle = field(default_factory=Oracle)
     refusal: str | None = None
+    family: Member | None = None
 
     def show(self, folder: RunFolder, status: Status | None = None, message: str = "") -> History:
         history = History(folder)
@@ -268,7 +271,7 @@ def page() -> Iterator[Page]:
             raise ValueError(page.refusal)
         ask()
 
-    def start(request: StartRequest) -> str:
+    def start(request: StartRun) -> str:
         heed(lambda: page.started.append(request))
         return NAME
 
@@ -284,12 +287,13 @@ def page() -> Iterator[Page]:
     answers = Oracle()
     viewer = Viewer(
         server,
-        on_command=lambda run_id, command: heed(lambda: page.commands.append((run_id, command))),
+        on_command=lambda run_id, command, _: heed(lambda: page.commands.append((run_id, command))),
         on_start=start,
         on_resume=lambda run_id: heed(lambda: page.resumed.append(run_id)),
         on_branch=branch,
         on_export=export,
         answers=answers,
+        family=lambda _: page.family,
     )
     page = Page(server, viewer, answers=answers)
     yield page

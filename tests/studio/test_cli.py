@@ -24,7 +24,7 @@ from studio.cli import run
 from studio.cli.evaluate import _print_result
 from studio.cli.follow import Outcome, _in_short
 from studio.cli.train import _document
-from studio.new_run import prepare_run
+from studio.new_run import StartRun, prepare_run
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "studio.cli"]
@@ -65,7 +65,7 @@ def refused(
 @pytest.fixture
 def folder(tmp_path: Path) -> RunFolder:
     """A hand-made run of two iterations out of five, the first the better one."""
-    folder = prepare_run(tmp_path / "runs", task="reacher", seed=3, iterations=5)
+    folder = prepare_run(tmp_path / "runs", StartRun(task="reacher", seed=3, iterations=5))
     log = EventLog(folder)
     log.append(StateChanged(status="running", iteration=0))
     for iteration, success in ((1, 0.75), (2, 0.5)):

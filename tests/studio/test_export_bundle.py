@@ -26,7 +26,7 @@ from studio.export.bundle import build_bundle
 from studio.export.errors import ExportError
 from studio.export.place import write_bundle
 from studio.export.verify import verify
-from studio.new_run import prepare_run
+from studio.new_run import StartRun, prepare_run
 
 PHIS = {1: [3.0, 2.9, 2.8, 2.7, 2.6], 2: [2.5, 2.0, 1.5, 1.0, 0.05], 3: [2.2, 1.0, 1.6, 2.4, 1.4]}
 
@@ -34,7 +34,7 @@ PHIS = {1: [3.0, 2.9, 2.8, 2.7, 2.6], 2: [2.5, 2.0, 1.5, 1.0, 0.05], 3: [2.2, 1.
 @pytest.fixture
 def history(tmp_path: Path) -> History:
     """A run of three iterations, the second evaluated best; after it link_1 was bounded."""
-    folder = prepare_run(tmp_path / "runs", task="reacher", seed=7, settings={"alpha": 2.0})
+    folder = prepare_run(tmp_path / "runs", StartRun(task="reacher", seed=7, settings={"alpha": 2.0}))
     log = EventLog(folder)
     log.append(StateChanged(status="running", iteration=0))
     log.append(Acknowledged(id=1, iteration=0, accepted=True, command=SetAlpha(3.0)))
