@@ -29,6 +29,7 @@ from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.runs import runs_router
+from studio.api.shelf import shelf_router
 from studio.api.study import study_router
 from studio.api.tasks import tasks_router
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
@@ -36,6 +37,7 @@ from studio.export.bundle import Bundle, build_bundle
 from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
+from studio.shelf import trash
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
@@ -114,6 +116,7 @@ def create_app(
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        trash.purge(settings.runs)
         watched.show_newest()
         with contextlib.ExitStack() as ends:
             ends.callback(report.close)
@@ -127,6 +130,7 @@ def create_app(
             ends.callback(shown.stop)
             painter = threading.Thread(target=keep_showing, args=(shown, watched, done), name="viewer", daemon=True)
             painter.start()
+            threading.Thread(target=watched.rows, name="first listing", daemon=True).start()
             ends.callback(painter.join, 2.0)
             ends.callback(done.set)
             yield
@@ -151,6 +155,7 @@ def create_app(
         imports_router(watched),
         events_router(watched, stopping),
         study_router(report),
+        shelf_router(watched),
         viewer_router(),
         docs_router(),
     ):

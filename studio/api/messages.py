@@ -10,7 +10,10 @@ from fastapi import Request, Response
 from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Parent, Progress
 from studio.fields import Field
 from studio.limits import LARGEST_SEED, MAX_ITERATIONS
-from studio.runs import Summary
+from studio.runs import Row, Summary
+from studio.shelf.marks import Marks, MarksChange
+from studio.shelf.traces import Overlay
+from studio.shelf.trash import Trashed
 
 MAX_BODY = 1 << 20
 """Largest body of a request, in bytes."""
@@ -163,6 +166,12 @@ class Checked(msgspec.Struct, frozen=True):
     checks: list[Comparison]
 
 
+class Purged(msgspec.Struct, frozen=True):
+    """Answer to the wish to empty the trash: how many runs were removed for good."""
+
+    runs: int
+
+
 class Health(msgspec.Struct, frozen=True):
     """State of the server; `boot` changes with every start of it."""
 
@@ -199,7 +208,7 @@ def reply(message: object, status: int = 200) -> Response:
 
 _KINDS = (
     StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, Metrics, Designs, Checked, Health, Refusal, AnyCommand,
-    AnyEvent,
+    AnyEvent, Row, Marks, MarksChange, Trashed, Purged, Overlay,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 
