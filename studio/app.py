@@ -62,6 +62,10 @@ class Shows(Protocol):
         """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
         ...
 
+    def turn_to(self, iteration: int) -> None:
+        """Show the design of an iteration of the run on screen."""
+        ...
+
     def stop(self) -> None:
         """End what the viewer has started."""
         ...
@@ -171,6 +175,8 @@ def keep_showing(viewer: Shows, runs: Runs, done: threading.Event) -> None:
         with _logged("showing the runs"):
             histories, shown = runs.watched(), runs.shown
             viewer.show(histories, {name: runs.status(history) for name, history in histories.items()}, shown)
+            if (iteration := runs.take_iteration()) is not None:
+                viewer.turn_to(iteration)
             if viewer.selected != shown and runs.shown == shown:  # someone chose another run in the viewer itself
                 runs.shown = viewer.selected
 

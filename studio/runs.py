@@ -80,6 +80,7 @@ class Runs:
         self.folder = folder
         self.shown: str | None = None
         """The run on screen; None while the start panel is."""
+        self._turn_to: int | None = None
         self._spawn = spawn
         self._launcher = launcher
         self._slurm = launcher or Slurm()
@@ -193,10 +194,17 @@ class Runs:
                     histories[name] = self.get(name)
         return histories
 
-    def show(self, run_id: str) -> None:
-        """Let the viewer show this run."""
-        self.get(run_id)
-        self.shown = run_id
+    def show(self, run_id: str, iteration: int | None = None) -> None:
+        """Let the viewer show this run, and the design of an iteration; RunFolderError if there is no such one."""
+        history = self.get(run_id)
+        if iteration is not None:
+            history.design(str(iteration))
+        self.shown, self._turn_to = run_id, iteration
+
+    def take_iteration(self) -> int | None:
+        """Return the iteration that the viewer is to turn to, once; None if it is to turn nowhere."""
+        wanted, self._turn_to = self._turn_to, None
+        return wanted
 
     def show_newest(self) -> None:
         """Let the viewer show the newest run that can be read, if there is one."""

@@ -50,4 +50,14 @@ def draw_thumbnail(task_name: str, task_options: dict[str, object], phi: list[fl
     design = task.design_space.check(phi)
     hw_phy = task.hw_phy(design)
     start = task.reset(hw_phy, 1, np.random.default_rng(0))[0]
-    return png(View(task, design, hw_phy, WIDTH, HEIGHT).on_clear_ground(start))
+    return png(_widened(View(task, design, hw_phy, WIDTH, HEIGHT).on_clear_ground(start)))
+
+
+def _widened(image: np.ndarray) -> np.ndarray:
+    """Return an image (h, w, 4) whose shapes are a pixel wider on each side: at this size an arm of metres is a thread.
+
+    A pixel takes the colour of the most opaque one among itself and its four neighbours.
+    """
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
+    near = np.stack([image, padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]])
+    return np.take_along_axis(near, near[..., 3].argmax(0)[None, ..., None], 0)[0]

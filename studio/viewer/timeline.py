@@ -108,6 +108,11 @@ class TimelinePanel:
         self.inject.visible = live and not self.follow.value
         self.what.content = wording.paragraph(self._what())
 
+    def turn_to(self, iteration: int) -> None:
+        """Choose an iteration, the last one at most, and follow the newest design no longer."""
+        self.follow.value = False
+        self.iteration.value = min(iteration, self.iteration.max)
+
     def clear(self, sentence: str) -> None:
         """Show no run, and `sentence` in its place."""
         self._history, self._recorded, self._latest = None, [], 0

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
-from conftest import TOKEN, Served, make_run, serving
+from conftest import TOKEN, Served, eventually, make_run, serving
 
 from morph_core.run_folder import RunFolder
 from studio.settings import Settings
@@ -140,6 +140,20 @@ def test_traces_hold_the_evaluations_of_each_run(served: Served, ended: RunFolde
     assert (trace["run"], trace["env_steps"], trace["success"], trace["iteration"]) == (ended.id, [300], [0.5], [3])
     assert (trace["phi"], trace["parameters"][0]["name"]) == ([[2.7] * 5], "link_1")
     assert (drawn["means"], drawn["confidence"]) == ([], 0.95)
+
+
+def test_the_viewer_turns_to_the_design_that_was_clicked(served: Served, ended: RunFolder) -> None:
+    assert served.client.post(f"/api/runs/{ended.id}/show", params={"iteration": 2}).status_code == 200
+    assert eventually(lambda: served.viewer.turned_to)
+    assert served.viewer.turned_to == [(ended.id, 2)]
+    served.client.post(f"/api/runs/{ended.id}/show")
+    assert "has no iteration 9" in refused(
+        served.client.post(f"/api/runs/{ended.id}/show", params={"iteration": 9}), 404
+    )
+    assert "greater than or equal to 0" in refused(
+        served.client.post(f"/api/runs/{ended.id}/show", params={"iteration": -1})
+    )
+    assert served.viewer.turned_to == [(ended.id, 2)]
 
 
 def test_no_more_runs_are_drawn_than_can_be_told_apart(served: Served) -> None:
