@@ -11,6 +11,7 @@ from msgspec import Meta
 
 Projection = Literal["none", "one_sided", "as_printed"]
 Utility = Literal["standardised", "log_rank"]
+InitialWeights = Literal["uniform", "orthogonal"]
 
 LARGEST = 2**53
 """The largest whole number, up to the sign: beyond it browsers and floats no longer tell them apart."""

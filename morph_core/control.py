@@ -56,7 +56,8 @@ class Control:
         self.optimizer = torch.optim.Adam(parameters, self._ppo.learning_rate, fused=True)
 
     def _new_critic(self, weights: torch.Generator) -> Critic:
-        return Critic(self._task, self._hidden, weights, len(self._task.design_space) if self._sees_phi else 0)
+        further = len(self._task.design_space) if self._sees_phi else 0
+        return Critic(self._task, self._ppo, self._hidden, weights, further)
 
     @property
     def modules(self) -> dict[str, nn.Module]:

@@ -46,6 +46,8 @@ class Method(Settings, ABC):
     """Clause that tells people what the method does."""
     sees_phi: ClassVar[bool] = False
     """Whether policy and critic see phi beside the observation, so that one policy acts on many designs."""
+    ends_at_best: ClassVar[bool] = False
+    """Whether the method's outcome is the best design that was evaluated, with its policy, and not the last one."""
 
     @property
     def proxy_fit(self) -> ProxyFit | None:

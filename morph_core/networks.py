@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from morph_core.config import InitialWeights
 from morph_core.parts import Ppo
 from morph_core.task import Task
 
@@ -15,10 +16,18 @@ SMALLEST_STD, LARGEST_STD = 0.02, 2.0
 LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
 
 
-def mlp(inputs: int, hidden: int, outputs: int, activation: type[nn.Module], rng: torch.Generator) -> nn.Sequential:
+def mlp(
+    inputs: int, hidden: int, outputs: int, activation: type[nn.Module], rng: torch.Generator,
+    weights: InitialWeights = "uniform",
+) -> nn.Sequential:  # fmt: skip
     """Return two hidden layers of `hidden` units, initialised from `rng`."""
     first, second, last = nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)
     for layer in (first, second, last):
+        if weights == "orthogonal":
+            gain = 1.0 if layer is last else math.sqrt(2)
+            nn.init.orthogonal_(layer.weight, gain, generator=rng)  # pyright: ignore[reportArgumentType]
+            nn.init.zeros_(layer.bias)
+            continue
         bound = 1 / math.sqrt(layer.in_features)
         nn.init.uniform_(layer.weight, -bound, bound, generator=rng)
         nn.init.uniform_(layer.bias, -bound, bound, generator=rng)
@@ -42,7 +51,8 @@ class Policy(nn.Module):
         super().__init__()
         box = torch.from_numpy(task.design_space.hard_box) if sees_phi else torch.empty(2, 0)
         self.register_buffer("hard_box", box if sees_phi else None)  # which a checkpoint holds, so that exports know it
-        self.mean = mlp(task.observation_size + box.shape[1], hidden, task.action_size, nn.Tanh, rng)
+        seen = task.observation_size + box.shape[1]
+        self.mean = mlp(seen, hidden, task.action_size, nn.Tanh, rng, ppo.initial_weights)
         nn.init.orthogonal_(self.mean[-1].weight, 0.01, generator=rng)  # pyright: ignore[reportArgumentType]
         with torch.no_grad():
             self.mean[-1].bias.copy_(torch.from_numpy(task.initial_action))  # pyright: ignore
@@ -110,9 +120,9 @@ class Critic(nn.Module):
     `further` counts the entries that follow the task's own in an observation, such as the design.
     """
 
-    def __init__(self, task: Task, hidden: int, rng: torch.Generator, further: int = 0) -> None:
+    def __init__(self, task: Task, ppo: Ppo, hidden: int, rng: torch.Generator, further: int = 0) -> None:
         super().__init__()
-        self.value = mlp(task.observation_size + further + 1, hidden, 1, nn.Tanh, rng)
+        self.value = mlp(task.observation_size + further + 1, hidden, 1, nn.Tanh, rng, ppo.initial_weights)
 
     def forward(self, observation: Tensor, time: Tensor) -> Tensor:
         """Return values (...) for observations (..., o) at times (...) in [0, 1)."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from morph_core.config import Count, CountOrNone, Fraction, NotNegative, Positive, Settings
+from morph_core.config import Count, CountOrNone, Fraction, InitialWeights, NotNegative, Positive, Settings
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,10 @@ class Ppo(Settings):
     std_end: Positive = 0.2
     """sigma_a: upper limit of the actions' standard deviation at the end of the schedule, as a fraction of the largest
     action."""
+    initial_weights: InitialWeights = "uniform"
+    """How the weights of policy and critic are drawn at the start: uniform within 1 / sqrt(inputs of the layer), biases
+    too, or orthogonal matrices times sqrt(2) with biases of 0 (Saxe et al. 2014), as most implementations of PPO have
+    them."""
     restart_interval: CountOrNone = 0
     """Iterations without reaching the first milestone of the task after which policy and critic start afresh, while phi
     stays: a policy can have learnt to avoid what a better design could do. With 0 they never do."""

@@ -23,7 +23,7 @@ import torch
 
 from morph_core import protocol
 from morph_core.catalogue import make_task, read_method
-from morph_core.checkpoint import all_finite, load_newest, recover_checkpoints, save_checkpoint
+from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.design import DesignSpace
 from morph_core.edits import AnyEdit, edited
 from morph_core.episodes import Score, evaluate, record_episode
@@ -105,9 +105,9 @@ class Trainer:
                     break
                 began, steps = time.monotonic(), state.env_steps
         if self._is_done(state):
-            if self._record.final_episodes and state.iteration not in self._measured:
+            if self._record.final_episodes:
                 self._set("running", "evaluating at the end")
-                self._evaluate_finally(task, state)
+                self._evaluate_finally(task, self._outcome(task, method, state))
             self._enter("finished", "finished", self._why_done(state))
         else:
             self._checkpoint(state)
@@ -214,8 +214,17 @@ class Trainer:
         name = self._persist(lambda: write_episode(self._folder, state.iteration, arrays))
         self._tell(state, sampled, mean, method.evaluation.episodes, episode=name)
 
+    def _outcome(self, task: Task, method: Method, state: State) -> State:
+        """Return the state whose design and policy the method has come to, which is not always the last one."""
+        best = History(self._folder).best
+        if method.ends_at_best and best is not None:
+            return load_checkpoint(self._folder, best.iteration, task, method)[0]
+        return state
+
     def _evaluate_finally(self, task: Task, state: State) -> None:
         episodes = self._record.final_episodes
+        if state.iteration in self._measured:
+            return
         rng = np.random.default_rng([self._record.seed, state.iteration, episodes])
         sampled, mean, _ = self._score(task, state, episodes, rng)
         self._tell(state, sampled, mean, episodes, final=True)

@@ -87,8 +87,8 @@ class DesignPolicy(nn.Module):
 class TwoStageCritic(Critic):
     """Critic V(s, phi, t) of the control stage, and V of the design stage: a flag tells one from the other."""
 
-    def __init__(self, task: Task, hidden: int, rng: torch.Generator) -> None:
-        super().__init__(task, hidden, rng, len(task.design_space) + 1)
+    def __init__(self, task: Task, ppo: Ppo, hidden: int, rng: torch.Generator) -> None:
+        super().__init__(task, ppo, hidden, rng, len(task.design_space) + 1)
         self._observation_size = task.observation_size
 
     def forward(self, observation: Tensor, time: Tensor) -> Tensor:
@@ -130,7 +130,7 @@ class TwoStageControl(Control):
         super().__init__(task, ppo, schedule, hidden, weights, sees_phi=True)
 
     def _new_critic(self, weights: torch.Generator) -> TwoStageCritic:
-        return TwoStageCritic(self._task, self._hidden, weights)
+        return TwoStageCritic(self._task, self._ppo, self._hidden, weights)
 
     @property
     def modules(self) -> dict[str, nn.Module]:

@@ -82,6 +82,8 @@ MUTANTS: tuple[Mutant, ...] = (
         ("(-0.5 * ((x", "(-1.0 * ((x"),
         ("self.log_std.clamp_(max=", "self.log_std.clamp_(min="),
         ("orthogonal_(self.mean[-1].weight, 0.01", "orthogonal_(self.mean[-1].weight, 1.0"),
+        ("1.0 if layer is last else math.sqrt(2)", "math.sqrt(2)"),
+        ("nn.init.zeros_(layer.bias)", "pass"),
     ),
     # --- the proxy and Eq. 2 ---
     *_of(
@@ -564,9 +566,13 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/train.py",
         "core/test_train.py::test_what_the_end_of_a_run_misses_is_done_when_it_is_taken_up_again_and_nothing_twice",
-        ("and state.iteration not in self._measured", ""),
+        ("if state.iteration in self._measured:", "if False:"),
         ("iteration for iteration in self._measured if iteration <= state.iteration", "state.iteration"),
         ("[self._record.seed, state.iteration, episodes]", "[time.time_ns()]"),
+    ),
+    *_of(
+        f"{CORE}/train.py", "core/test_cmaes_rl.py::test_a_run_ends_with_the_best_candidate_and_its_policy",
+        ("if method.ends_at_best and best is not None", "if False"),
     ),
     *_of(
         f"{CORE}/train.py", "core/test_train.py::test_a_budget_ends_a_run_after_the_iteration_that_reaches_it",

@@ -48,6 +48,7 @@ class CmaesRl(Method):
 
     name: ClassVar[str] = "cmaes_rl"
     title: ClassVar[str] = "CMA-ES tries one φ after another, the policy learns anew with each"
+    ends_at_best: ClassVar[bool] = True
 
     def memory(self, proxy: "HwNN | None") -> "Trials":
         return Trials()

@@ -13,6 +13,7 @@ from morph_core.design import DesignSpace
 from morph_core.methods.direct import Direct
 from morph_core.methods.no_hw_opt import NoHwOpt
 from morph_core.methods.proxy import Morph
+from morph_core.parts import Ppo
 from morph_core.protocol import Parameter
 from morph_core.task import Hardware, HardwareOfEpisodes, Task, Transition
 from morph_core.tasks import palette
@@ -29,6 +30,7 @@ OUTLINE_MARGIN = 0.2
 ANGLE_SPREAD, TIP_SPREAD = 3.0, 5.0  # rad, m: as the policy sees joint angles and tip
 WALL_HEIGHT = 0.3  # m, across the plane
 WALL_MARGIN = 1.2  # m: how much of the solid is shown beyond the corridor
+_PPO = Ppo(initial_weights="orthogonal")
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,7 @@ class Reacher(Settings, Task):
 
     @property
     def tuned(self) -> tuple[Settings, ...]:
-        return (Morph(), Direct(), NoHwOpt())
+        return (Morph(ppo=_PPO), Direct(ppo=_PPO), NoHwOpt(ppo=_PPO))
 
     @property
     def design_space(self) -> DesignSpace:

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 import torch
 
+from morph_core.catalogue import make_task
 from morph_core.checkpoint import load_checkpoint, save_checkpoint
 from morph_core.design import DesignSpace
+from morph_core.episodes import evaluate
 from morph_core.history import History
 from morph_core.methods.cmaes_rl import REFUSALS, CmaesRl, Trials
 from morph_core.parts import Schedule
@@ -314,3 +316,21 @@ def test_an_evaluation_measures_the_candidate_that_is_being_tried(tmp_path: Path
     assert history.best.sampled_return == max(e.sampled_return for e in history.evaluations)
     initial = DesignSpace(tuple(history.record.parameters)).initial
     assert history.best.phi != initial.tolist()
+
+
+def test_a_run_ends_with_the_best_candidate_and_its_policy(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, method=small_method("cmaes_rl"), iterations=1000, env_steps=6000, final_episodes=10)
+    for _ in range(2):  # taken up again, it measures nothing twice
+        Trainer(folder).run()
+    history = History(folder)
+    *regular, final = history.evaluations
+    assert final.final
+    assert not any(evaluation.final for evaluation in regular)
+    best = max(regular, key=lambda e: (e.sampled_success, e.sampled_return))
+    assert best.iteration < history.iteration
+    assert (final.iteration, final.env_steps, final.phi) == (best.iteration, best.env_steps, best.phi)
+    task = make_task("reacher")
+    state, _ = load_checkpoint(folder, best.iteration, task, small_method("cmaes_rl"))
+    rng = np.random.default_rng([history.record.seed, best.iteration, 10])
+    score, _ = evaluate(task, state.control.policy, state.phi, 10, rng, sampled=True)
+    assert final.sampled_return == score.episode_return

@@ -256,3 +256,26 @@ def test_an_action_is_the_mean_and_noise_of_the_policys_std() -> None:
     noise = np.random.default_rng(0).standard_normal((1, 2), dtype=np.float32)
     acted = state.control.policy.act(observation, np.random.default_rng(0))
     assert np.allclose(acted, [[3.0, 7.0]] + TINY.ppo.std * noise)
+
+
+def layers_of(weights: Any) -> dict[str, list[torch.nn.Linear]]:
+    """Return the layers of a fresh policy and critic."""
+    control = start(Scales(), replaced(ppo=Ppo(initial_weights=weights)), 0).control
+    nets = {"policy": control.policy.mean, "critic": control.critic.value}
+    return {name: [layer for layer in net if isinstance(layer, torch.nn.Linear)] for name, net in nets.items()}
+
+
+def test_orthogonal_weights_keep_lengths_but_for_their_gain() -> None:
+    for name, layers in layers_of("orthogonal").items():
+        for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), 0.01 if name == "policy" else 1.0), strict=True):
+            singular = torch.linalg.svdvals(layer.weight.detach())
+            assert singular.tolist() == pytest.approx([gain] * len(singular), rel=1e-4)
+            assert (name == "policy" and layer is layers[-1]) or not layer.bias.any()
+
+
+def test_uniform_weights_fill_their_range() -> None:
+    first = [layers[0] for layers in layers_of("uniform").values()]
+    for layer in (*first, layers_of("uniform")["critic"][-1]):
+        values = torch.cat([layer.weight.flatten(), layer.bias]).detach().abs() * math.sqrt(layer.in_features)
+        assert 0.5 < float(values.max()) <= 1
+        assert layer.bias.all()
