@@ -143,16 +143,7 @@ class Runs:
 
     def outcome(self, run_id: str) -> Outcome:
         """Return what a run has come to, nothing where its log is not there; RunFolderError if there is no such run."""
-        log = find_run(self.folder, run_id).events
-        try:
-            size = log.stat().st_size
-        except OSError:
-            return Outcome()
-        with self._lock:
-            known = self._outcomes.get(run_id)
-            if known is None or known[0] != size:
-                known = self._outcomes[run_id] = size, outcome_of(self._landmarks(run_id))
-            return known[1]
+        return self._outcome(find_run(self.folder, run_id))
 
     def design(self, run_id: str, which: str) -> tuple[RunRecord, list[float]]:
         """Return a run's record and phi of "best", "latest" or an iteration; raise RunFolderError if there is none."""
@@ -163,9 +154,9 @@ class Runs:
 
     def evaluations(self, run_id: str) -> tuple[RunRecord, list[Evaluation]]:
         """Return a run's record and its evaluations; raise RunFolderError if there is no such run."""
-        record = find_run(self.folder, run_id).record()
+        folder = find_run(self.folder, run_id)
         with self._lock:
-            return record, evaluations_of(self._landmarks(run_id))
+            return folder.record(), evaluations_of(self._landmarks(folder))
 
     def marks(self, folder: RunFolder) -> Marks:
         """Return what people have noted about a run."""
@@ -238,6 +229,7 @@ class Runs:
                 kept.pop(run_id, None)
             if self.shown == run_id:
                 self.shown = None
+        trash.purge(self.folder)
         return trashed
 
     def restore(self, run_id: str) -> None:
@@ -332,12 +324,24 @@ class Runs:
     # --- opening ---
 
     def _row(self, line: Summary) -> Row:
-        return Row(**msgspec.structs.asdict(line), outcome=self.outcome(line.id))
+        return Row(**msgspec.structs.asdict(line), outcome=self._outcome(RunFolder(self.folder / line.id)))
 
-    def _landmarks(self, run_id: str) -> list[AnyEvent]:
-        history = self._histories.get(run_id)
+    def _outcome(self, folder: RunFolder) -> Outcome:
+        """Return what a run has come to; its log is read again only when it has grown."""
+        try:
+            size = folder.events.stat().st_size
+        except OSError:
+            return Outcome()
+        with self._lock:
+            known = self._outcomes.get(folder.id)
+            if known is None or known[0] != size:
+                known = self._outcomes[folder.id] = size, outcome_of(self._landmarks(folder))
+            return known[1]
+
+    def _landmarks(self, folder: RunFolder) -> list[AnyEvent]:
+        history = self._histories.get(folder.id)
         if history is None:
-            return landmarks(self.folder / run_id / "events.jsonl")
+            return landmarks(folder.events)
         history.poll()
         return history.events
 

@@ -3,7 +3,7 @@
 import { Designs, Traces } from "/page/runs-charts.js";
 import { flat, made, makeTable, moveFocus, number, share } from "/page/runs-table.js";
 
-const INTERVAL = 2000;
+const INTERVAL = 3000;
 const HIDDEN_INTERVAL = 15000;
 const TOLD = 12000;
 const MOST_COMPARED = 100;
@@ -72,12 +72,14 @@ async function show(rows) {
   if (!table) return build(rows.map(flat));
   const fresh = rows.filter((row) => !before.has(row.id));
   const changed = rows.filter((row) => before.has(row.id) && JSON.stringify(before.get(row.id)) !== JSON.stringify(row));
+  const hadFocus = find("table").contains(document.activeElement);
   const gone = [...before.keys()].filter((id) => !known.has(id));
   if (changed.length) await table.updateData(changed.map(flat));
   for (const row of changed) table.getRow(row.id)?.reformat();
   if (gone.length) await table.deleteRow(gone);
   if (fresh.length) await table.addData(fresh.map(flat), true);
   if (fresh.length || changed.length) filter();
+  if (hadFocus && !find("table").contains(document.activeElement)) focusFirst();
   return tellChosen();
 }
 
@@ -235,6 +237,10 @@ function askDelete(rows) {
   });
 }
 
+function focusFirst() {
+  setTimeout(() => find("table").querySelector('.tabulator-row[tabindex="0"]')?.focus(), 50); // once the rows are drawn
+}
+
 // Show a dialog, and act if it was closed by the button "yes"; then the focus goes back to where it was.
 function asked(dialog, act) {
   const before = document.activeElement;
@@ -242,6 +248,7 @@ function asked(dialog, act) {
   dialog.addEventListener("close", async () => {
     if (dialog.returnValue === "yes") await act();
     if (before?.isConnected) before.focus();
+    else focusFirst();
   }, { once: true });
   dialog.showModal();
 }
@@ -371,6 +378,7 @@ find("close").addEventListener("click", closeComparison);
 for (const name of ["measure", "single", "designs"]) find(name).addEventListener("change", draw);
 find("undo").addEventListener("click", undo);
 find("hush").addEventListener("click", () => (find("toast").hidden = true));
+find("cancel").addEventListener("click", () => find("ask-marks").close());
 find("help").addEventListener("click", () => find("show-help").showModal());
 find("open-trash").addEventListener("click", async () => {
   find("trash-why").textContent = "";
@@ -426,7 +434,7 @@ function meant(row) {
 document.addEventListener("keydown", (event) => {
   const key = event.key.length === 1 ? event.key.toLowerCase() : event.key, { target } = event;
   if (!table || document.querySelector("dialog[open]") || event.ctrlKey || event.metaKey || event.altKey) return;
-  if (target === find("search") && key === "Escape") find("table").querySelector('.tabulator-row[tabindex="0"]')?.focus();
+  if (target === find("search") && key === "Escape") focusFirst();
   if (target.matches("input:not([type=checkbox]), select, textarea") || !(key in keys)) return;
   if (target.matches(".tabulator-col") && ["Enter", " "].includes(key)) {
     event.preventDefault();

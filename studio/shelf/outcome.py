@@ -28,8 +28,6 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """Environment steps of the trajectories."""
     seconds: float | None = None
     """Time that trainers were at work, pauses included, in seconds."""
-    updated: float | None = None
-    """When the run last said something, in seconds since the epoch."""
     last: Score | None = None
     best: Score | None = None
     """The evaluation with the most success, then the highest return."""
@@ -42,7 +40,6 @@ def outcome_of(events: Sequence[AnyEvent]) -> Outcome:
     return Outcome(
         env_steps=_steps(events, evaluations),
         seconds=_seconds(events),
-        updated=events[-1].time if events else None,
         last=score_of(evaluations[-1]) if evaluations else None,
         best=score_of(best) if best else None,
     )

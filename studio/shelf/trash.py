@@ -39,7 +39,6 @@ def discard(folder: RunFolder, now: float | None = None) -> Trashed:
     (runs / FOLDER).mkdir(exist_ok=True)
     with hold(folder):
         durable.move(folder.path, runs / FOLDER / f"{round(moment * 1000):013d}.{folder.id}")
-    purge(runs, now)
     return _trashed(folder.id, moment)
 
 
