@@ -78,7 +78,9 @@ async function show(rows) {
   for (const row of changed) table.getRow(row.id)?.reformat();
   if (gone.length) await table.deleteRow(gone);
   if (fresh.length) await table.addData(fresh.map(flat), true);
-  if (fresh.length || changed.length) filter();
+  // Filtering draws all rows anew, at the top: only where another set of rows is to be seen.
+  if (fresh.length || changed.some((row) => fits(flat(row)) !== fits(flat(before.get(row.id))))) filter();
+  tellCount(table.getDataCount("active"));
   if (hadFocus && !find("table").contains(document.activeElement)) focusFirst();
   return tellChosen();
 }
@@ -109,14 +111,18 @@ function offerFilters(rows) {
   }
 }
 
+// Return whether a row fits what was asked for when it was last filtered.
+let fits = () => true;
+
 function filter() {
   const wanted = Object.fromEntries(FILTERS.map((name) => [name, find(name).type === "checkbox" ? find(name).checked : find(name).value]));
   const words = wanted.search.toLowerCase().split(/\s+/).filter(Boolean);
-  table.setFilter((row) =>
+  fits = (row) =>
     words.every((word) => row.text.includes(word)) &&
     (!wanted.status || row.status === wanted.status) && (!wanted.task || row.task === wanted.task) &&
     (!wanted.method || row.method === wanted.method) && (!wanted.tag || row.tags.includes(wanted.tag)) &&
-    (!wanted.starred || row.starred) && (wanted.archived === "show" || row.archived === (wanted.archived === "only")));
+    (!wanted.starred || row.starred) && (wanted.archived === "show" || row.archived === (wanted.archived === "only"));
+  table.setFilter(fits);
 }
 
 function tellCount(shown) {
