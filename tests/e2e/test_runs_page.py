@@ -137,7 +137,8 @@ def test_runs_are_found_noted_archived_deleted_and_brought_back(server: Server, 
     expect(page.get_by_text("The server does not answer")).to_be_visible(timeout=20_000)
 
 
-def test_runs_are_compared_and_a_design_is_opened_in_3d(server: Server, runs: Path, page: Page) -> None:
+@pytest.mark.usefixtures("runs")
+def test_runs_are_compared_and_a_design_is_opened_in_3d(server: Server, page: Page) -> None:
     complaints = open_runs(page, server)
     page.get_by_role("checkbox", name="Select all runs that fit the filters").check()
     expect(page.locator("#chosen")).to_have_text("6 selected")
