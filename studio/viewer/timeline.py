@@ -112,7 +112,7 @@ class TimelinePanel:
     def turn_to(self, iteration: int) -> None:
         """Choose an iteration, the last one at most, and follow the newest design no longer."""
         self.follow.value = False
-        self.iteration.value = min(iteration, self.iteration.max)
+        self.iteration.value = min(iteration, int(self.iteration.max))
 
     def clear(self, sentence: str) -> None:
         """Show no run, and `sentence` in its place."""
