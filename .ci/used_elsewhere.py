@@ -35,6 +35,7 @@ _.visual
 # Fields of messages and records: written here, read by a browser, another program or a person.
 _.caption
 _.commands_sha256
+_.confidence
 _.cosine_negative
 _.design_sigma
 _.deterministic_return

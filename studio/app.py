@@ -30,6 +30,7 @@ from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.runs import runs_router
+from studio.api.shelf import shelf_router
 from studio.api.study import study_router
 from studio.api.tasks import tasks_router
 from studio.api.what_if import what_if_router
@@ -41,6 +42,7 @@ from studio.new_run import Branch, StartRun
 from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
+from studio.shelf import trash
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
@@ -64,6 +66,10 @@ class Shows(Protocol):
         self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
     ) -> None:
         """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
+        ...
+
+    def turn_to(self, iteration: int) -> None:
+        """Show the design of an iteration of the run on screen."""
         ...
 
     def stop(self) -> None:
@@ -130,6 +136,7 @@ def create_app(
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        trash.purge(settings.runs)
         watched.show_newest()
         with contextlib.ExitStack() as ends:
             ends.callback(report.close)
@@ -144,6 +151,7 @@ def create_app(
             ends.callback(shown.stop)
             painter = threading.Thread(target=keep_showing, args=(shown, watched, done), name="viewer", daemon=True)
             painter.start()
+            threading.Thread(target=watched.rows, name="first listing", daemon=True).start()
             ends.callback(painter.join, 2.0)
             ends.callback(done.set)
             yield
@@ -169,6 +177,7 @@ def create_app(
         events_router(watched, stopping),
         what_if_router(watched, what_ifs),
         study_router(report),
+        shelf_router(watched),
         viewer_router(),
         docs_router(),
     ):
@@ -184,6 +193,8 @@ def keep_showing(viewer: Shows, runs: Runs, done: threading.Event) -> None:
         with _logged("showing the runs"):
             histories, shown = runs.watched(), runs.shown
             viewer.show(histories, {name: runs.status(history) for name, history in histories.items()}, shown)
+            if (iteration := runs.take_iteration()) is not None:
+                viewer.turn_to(iteration)
             if viewer.selected != shown and runs.shown == shown:  # someone chose another run in the viewer itself
                 runs.shown = viewer.selected
 

@@ -109,6 +109,11 @@ class TimelinePanel:
         changed = f"a body changed by hand, with the policy of iteration {self.shown_iteration}"
         self.what.content = wording.paragraph(changed if by_hand else self._what())
 
+    def turn_to(self, iteration: int) -> None:
+        """Choose an iteration, the last one at most, and follow the newest design no longer."""
+        self.follow.value = False
+        self.iteration.value = min(iteration, int(self.iteration.max))
+
     def clear(self, sentence: str) -> None:
         """Show no run, and `sentence` in its place."""
         self._history, self._recorded, self._first, self._latest = None, [], 0, 0

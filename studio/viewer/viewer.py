@@ -135,6 +135,12 @@ class Viewer:
             self._settle_pending()
             self._refresh()
 
+    def turn_to(self, iteration: int) -> None:
+        """Show the design of an iteration of the run on screen."""
+        with self._lock:
+            self.timeline.turn_to(iteration)
+            self._refresh()
+
     def select(self, run_id: str | None) -> None:
         """Open the run of that name, or the start panel if it is None."""
         with self._lock:

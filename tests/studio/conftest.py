@@ -309,6 +309,7 @@ class Blackboard:
     runs: Runs
     what_ifs: WhatIfs
     shown: list[tuple[list[str], dict[str, tuple[Status, str]], str | None]] = field(default_factory=list)
+    turned_to: list[tuple[str | None, int]] = field(default_factory=list)
     broken: bool = False
     selected: str | None = None
 
@@ -319,6 +320,9 @@ class Blackboard:
             raise RuntimeError("the viewer is broken, says the test")
         self.selected = current
         self.shown.append((list(histories), dict(statuses), current))
+
+    def turn_to(self, iteration: int) -> None:
+        self.turned_to.append((self.selected, iteration))
 
     def stop(self) -> None:
         self.shown.append(([], {}, None))

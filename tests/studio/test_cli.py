@@ -25,6 +25,7 @@ from studio.cli.evaluate import _print_result
 from studio.cli.follow import Outcome, _in_short
 from studio.cli.train import _document
 from studio.new_run import StartRun, prepare_run
+from studio.shelf.marks import Marks, write_marks
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "studio.cli"]
@@ -122,13 +123,15 @@ def test_help_lists_the_commands_within_a_second() -> None:
     done = morph_studio("--help")
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines() if line.startswith("  ")] == [
-        "serve", "train", "study", "runs", "evaluate", "export", "verify", "import",
+        "serve", "train", "study", "runs", "log", "replay", "evaluate", "export", "verify", "import",
     ]  # fmt: skip
     after = os.times()
     assert after.children_user + after.children_system - before.children_user - before.children_system < 1.0
 
 
-@pytest.mark.parametrize("command", ["serve", "train", "study", "runs", "evaluate", "export", "verify", "import"])
+@pytest.mark.parametrize(
+    "command", ["serve", "train", "study", "runs", "log", "replay", "evaluate", "export", "verify", "import"]
+)
 def test_every_command_explains_itself(command: str) -> None:
     done = morph_studio(command, "--help")
     assert done.returncode == 0
@@ -239,6 +242,26 @@ def test_runs_lists_every_folder_and_says_why_one_is_unreadable(folder: RunFolde
 def test_an_empty_folder_has_no_runs(tmp_path: Path) -> None:
     assert "no runs" in morph_studio("runs", cwd=tmp_path).stdout
     assert json.loads(morph_studio("runs", "--json", cwd=tmp_path).stdout) == []
+
+
+def test_runs_shows_what_people_have_noted_and_leaves_archived_ones_out(folder: RunFolder) -> None:
+    runs = folder.path.parent
+    write_marks(folder.path, Marks(starred=True, name="[b]Long fingers[/b]", tags=("to print",)))
+    archived = prepare_run(runs, StartRun(task="reacher", seed=4))
+    write_marks(archived.path, Marks(archived=True))
+
+    def listed(*words: str) -> list[str]:
+        return [line["id"] for line in json.loads(morph_studio("runs", "--runs", str(runs), "--json", *words).stdout)]
+
+    shown = morph_studio("runs", "--runs", str(runs)).stdout
+    assert "★ [b]Long fingers[/b] #to print" in shown
+    assert archived.id not in shown
+    assert listed() == listed("--starred") == listed("--tag", "to print") == [folder.id]
+    assert listed("--archived", "only") == [archived.id]
+    assert set(listed("--archived", "show")) == {folder.id, archived.id}
+    assert listed("--tag", "other") == []
+    assert "none of the 2 runs" in morph_studio("runs", "--runs", str(runs), "--tag", "other").stdout
+    assert "(archived)" in morph_studio("runs", "--runs", str(runs), "--archived", "show").stdout
 
 
 def test_the_folder_of_runs_may_come_from_the_environment(folder: RunFolder, tmp_path: Path) -> None:
