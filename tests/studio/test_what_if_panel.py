@@ -40,7 +40,7 @@ def panel(page: Page, folder: RunFolder) -> WhatIfPanel:
 
 def click(button: viser.GuiButtonHandle) -> None:
     for callback in button._impl.update_cb:
-        callback(SimpleNamespace(client=None, client_id=None, target=button))
+        callback(SimpleNamespace(client=None, client_id=None, target=button))  # pyright: ignore[reportArgumentType]
 
 
 def drag(panel: WhatIfPanel, i: int, value: float) -> None:
@@ -232,8 +232,8 @@ def point(page: Page, history: History, value: float, buildable: bool = True) ->
 def test_curves_have_gaps_where_no_design_can_be_put_together(page: Page, folder: RunFolder) -> None:
     history = History(folder)
     points = [point(page, history, v, v != 2.0) for v in (3.0, 1.0, 2.0, 4.0)]
-    scale = scale_of(points)
-    assert scale == Scale(-0.8, -0.2)
+    scale = Scale(-0.8, -0.2)
+    assert scale_of(points) == scale
     drawn = curves_of(points, scale, 2.5, (0.0, 5.0), faded=False)
     assert drawn.count("<polyline") == 4  # success and return, left and right of the gap
     assert drawn.count("<g stroke") == 1
