@@ -84,13 +84,14 @@ def _curve(
     ends: Callable[[Measured], tuple[float, float]],
 ) -> list[str]:
     """Return a line with its band; a single point is a dot, which is a line of no length with round ends."""
+    width = 6 if len(run) == 1 else 2
     line = [f"{x(value):.1f},{_y(middle(m)):.1f}" for value, m in run]
     upper = [f"{x(value):.1f},{_y(ends(m)[1]):.1f}" for value, m in run]
     lower = [f"{x(value):.1f},{_y(ends(m)[0]):.1f}" for value, m in reversed(run)]
     return [
         f'<polygon points="{" ".join(upper + lower)}" fill="{colour}" opacity="0.18"/>',
         f'<polyline points="{" ".join(line * 2 if len(line) == 1 else line)}" fill="none" stroke="{colour}" '
-        'stroke-width="2" stroke-linecap="round" vector-effect="non-scaling-stroke"/>',
+        f'stroke-width="{width}" stroke-linecap="round" vector-effect="non-scaling-stroke"/>',
     ]
 
 

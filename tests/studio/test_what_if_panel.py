@@ -12,9 +12,11 @@ import viser
 from conftest import Page, eventually, make_hand_run, make_run
 
 from morph_core.history import History
-from morph_core.protocol import InjectDesign
-from morph_core.run_folder import RunFolder
+from morph_core.protocol import DesignSpaceChanged, InjectDesign
+from morph_core.run_folder import EventLog, RunFolder
+from studio.app import _branch
 from studio.cancellation import Cancellation, CancelledError
+from studio.new_run import Branch
 from studio.viewer.curves import Scale, curves_of, scale_of
 from studio.viewer.newest import Newest
 from studio.viewer.what_if import SWEEP_EPISODES, WhatIfPanel
@@ -38,7 +40,7 @@ def panel(page: Page, folder: RunFolder) -> WhatIfPanel:
 
 def click(button: viser.GuiButtonHandle) -> None:
     for callback in button._impl.update_cb:
-        callback(SimpleNamespace(client=None, client_id=None, target=button))
+        callback(SimpleNamespace(client=None, client_id=None, target=button))  # pyright: ignore[reportArgumentType]
 
 
 def drag(panel: WhatIfPanel, i: int, value: float) -> None:
@@ -197,6 +199,22 @@ def test_a_hand_has_sliders_in_centimetres_and_degrees(page: Page, tmp_path: Pat
         assert row.slider.max == pytest.approx(p.hard_hi * row.unit.factor, abs=0.05)
 
 
+def test_a_branch_begins_with_the_body_and_its_bounds_and_locks_give_way(folder: RunFolder) -> None:
+    history = History(folder)
+    space = history.design_space.with_bound("link_1", 2.0, 3.0).with_lock("link_2", 1.0)
+    log = EventLog(folder)
+    log.append(DesignSpaceChanged(iteration=2, parameters=list(space.parameters)))
+    log.close()
+    phi = [4.0, 1.5, 2.0, 2.0, 2.0]
+    wish = _branch(History(folder), 3, phi)
+    assert wish.branch == Branch(folder.id, 3)
+    assert wish.parameters
+    first, second, third, *_ = wish.parameters
+    assert [p.initial for p in wish.parameters] == phi
+    assert (first.lo, first.hi) == (2.0, 4.0)
+    assert (second.locked_at, third.locked_at) == (1.5, None)
+
+
 def test_there_is_nothing_to_change_without_a_run(page: Page) -> None:
     panel = page.viewer.what_if
     assert not panel.begin.visible
@@ -214,11 +232,12 @@ def point(page: Page, history: History, value: float, buildable: bool = True) ->
 def test_curves_have_gaps_where_no_design_can_be_put_together(page: Page, folder: RunFolder) -> None:
     history = History(folder)
     points = [point(page, history, v, v != 2.0) for v in (3.0, 1.0, 2.0, 4.0)]
-    scale = scale_of(points)
-    assert scale == Scale(-0.8, -0.2)
+    scale = Scale(-0.8, -0.2)
+    assert scale_of(points) == scale
     drawn = curves_of(points, scale, 2.5, (0.0, 5.0), faded=False)
     assert drawn.count("<polyline") == 4  # success and return, left and right of the gap
     assert drawn.count("<g stroke") == 1
+    assert drawn.count('stroke-width="6"') == 2  # the lonely point of either curve is a dot
     assert scale_of(points[2:3]) is None
     assert Scale(1.0, 1.0).share(1.0) == 0.5
 
