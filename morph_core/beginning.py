@@ -87,7 +87,9 @@ def _go_on(state: State, before: State, same_seed: bool) -> tuple[list[str], lis
         afresh.append("policy and critic start afresh: their networks have another size")
     if _fits(_networks(state), _networks(before)):
         restore(_networks(state), {name: hw_nn.optimizer for name, hw_nn in state.proxies.items()}, tensors)
-        state.fitted, state.directions = before.fitted and not moved, before.directions
+        state.fitted = before.fitted and not moved
+        if type(state.notes) is type(before.notes):
+            state.notes.recall(before.notes.arrays)
         taken += ["proxy"] * bool(state.proxies)
     if state.proxies and before.fitted and not state.fitted:
         afresh.append("the proxy is fitted anew")

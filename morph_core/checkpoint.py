@@ -18,8 +18,8 @@ from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.state import State, start
 from morph_core.task import Task
 
-DIRECTIONS = "exploration/directions"
-"""Name of `State.directions` among the tensors."""
+NOTES = "exploration/"
+"""What the names of the exploration's notes begin with among the tensors."""
 
 
 def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None:
@@ -73,7 +73,7 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Metho
         state.rng.bit_generator.state = facts["rng"]
         state.memory.recall(facts.get("memory", {}))
         restore(state.modules, state.optimizers, tensors)
-        state.directions = tensors[DIRECTIONS].numpy() if DIRECTIONS in tensors else None
+        state.notes.recall({k.removeprefix(NOTES): v.numpy() for k, v in tensors.items() if k.startswith(NOTES)})
         return state, facts["cpu_seconds"]
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, safetensors.SafetensorError) as error:
         raise RunFolderError(f"checkpoint {iteration} of {folder.id} can't be read: {error}") from error
@@ -97,9 +97,7 @@ def tensors_of(state: State) -> dict[str, Tensor]:
     for name, optimizer in state.optimizers.items():
         for index, moments in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}_optimizer/{index}/{key}": value.contiguous() for key, value in moments.items()}
-    if state.directions is not None:
-        tensors[DIRECTIONS] = torch.from_numpy(state.directions)
-    return tensors
+    return tensors | {f"{NOTES}{name}": torch.from_numpy(array) for name, array in state.notes.arrays.items()}
 
 
 def restore(

@@ -5,6 +5,7 @@ import dataclasses
 import math
 import time
 from dataclasses import dataclass
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -18,17 +19,24 @@ from morph_core.protocol import (
     Evaluation,
     Heartbeat,
     InjectDesign,
+    Pause,
     Progress,
+    Resume,
     RunRecord,
     SetAlpha,
     SetProjection,
     StateChanged,
     Status,
+    StepIteration,
+    Stop,
 )
 from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, still_beating
 
 STARTS_WITHIN = 10.0
 """Seconds after its creation in which a run has a heartbeat, unless it is queued."""
+
+_HOLDS = Pause | StepIteration
+"""The commands after which a run holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +133,12 @@ class History:
         """Return the commands that were obeyed before `iteration`, and not undone by a resume from before them."""
         return [e for e in self._changes if isinstance(e, Acknowledged) and e.iteration < iteration]
 
+    @property
+    def paused_by_user(self) -> bool:
+        """Whether a user has paused the run, and no later command lets it go on or stops it."""
+        said = [e.command for e in self.acknowledged if e.accepted and isinstance(e.command, _HOLDS | Resume | Stop)]
+        return bool(said) and isinstance(said[-1], _HOLDS)
+
     def _begun_with(self) -> InForce:
         space = DesignSpace(tuple(self.record.parameters))
         try:
@@ -199,6 +213,20 @@ class History:
     def best(self) -> Evaluation | None:
         """The evaluation with the most sampled success, then the highest return."""
         return max(self.evaluations, key=lambda e: (e.sampled_success, e.sampled_return), default=None)
+
+    @property
+    def last_evaluation(self) -> Evaluation | None:
+        """The evaluation at the end of the budget, or the last one before it."""
+        return max(self.evaluations, key=lambda e: (e.final, e.iteration), default=None)
+
+    def first_evaluation(self, kind: Literal["sampled", "deterministic"], level: float) -> Evaluation | None:
+        """Return the first evaluation in which the success of this policy was at least `level`."""
+        return next((e for e in self.evaluations if getattr(e, f"{kind}_success") >= level), None)
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time until the last word of an iteration or an evaluation."""
+        return max((e.cpu_seconds for e in (*self.progress[-1:], *self.evaluations[-1:])), default=0.0)
 
     def design(self, which: str) -> tuple[int, np.ndarray]:
         """Return iteration and phi (d,) of "best", "latest", or an iteration; 0 is the initial design, of a branch too.

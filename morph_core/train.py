@@ -51,7 +51,7 @@ T = TypeVar("T")
 HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
-PAUSED = "it keeps its core, on a cluster until the time limit: Resume goes on, Stop saves and frees the core"
+PAUSED = "it keeps its core, on a cluster too: Resume goes on, Stop saves and frees the core"
 SHOWN_DESIGNS = 12
 """Largest number of explored designs that are kept with an evaluation."""
 _SAVED_AFTER = AnyEdit | protocol.Checkpoint
@@ -66,11 +66,12 @@ class Trainer:
         self._record = folder.record()
         self._status: Status = "starting"
         self._stage, self._message = "loading", ""
-        self._stopping = self._paused = self._step = False
+        self._stopping = self._step = False
         self._pace: deque[tuple[float, int]] = deque(maxlen=20)  # s and environment steps of the last iterations
         self._iteration = self._env_steps = 0
         self._cpu_start = time.process_time()  # s, when this run's CPU clock stood at zero
         history = History(folder)
+        self._paused = history.paused_by_user
         self._last = history.iteration + further if further is not None else until or self._record.iterations
         self._budget = None if (further or until) is not None else self._record.env_steps
         self._longest_iteration = 1  # environment steps

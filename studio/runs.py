@@ -12,7 +12,7 @@ import msgspec
 from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, Evaluation, Parent, StateChanged, Status, Stop
+from morph_core.protocol import AnyCommand, Evaluation, Parent, Resume, StateChanged, Status, Stop
 from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs
 from studio import limits
 from studio.commands import check_command
@@ -196,6 +196,8 @@ class Runs:
         if queued:
             until = history.iteration + further if further is not None else None
             self._slurm.resume(self.folder, run_id, until=until)
+        if history.paused_by_user:  # else its trainer would come back paused
+            history.folder.send(Resume(), "studio")
         self.shown = run_id
 
     def send(self, run_id: str, command: AnyCommand, sender: str = "") -> int:

@@ -522,7 +522,28 @@ MUTANTS: tuple[Mutant, ...] = (
         ("self.relabelled_steps += self.hw_nn.fit", "self.relabelled_steps = self.hw_nn.fit"),
     ),
     *_of(
+        f"{CORE}/beginning.py", "core/test_branch.py",
+        ("state.rng = before.rng", "pass"),
+        ("state.fitted = before.fitted and not moved", "state.fitted = before.fitted"),
+        ("before.frozen and not moved and _box_of(state) == _box_of(before)", "before.frozen and not moved"),
+        ("state.control_start = state.last_reached = state.iteration", "pass"),
+        ("state.notes.recall(before.notes.arrays)", "pass"),
+        ("state.memory.recall(before.memory.facts)", "pass"),
+        ("restore({name: state.control.modules[name] for name in fitting}, {}, tensors)", "pass"),
+    ),
+    *_of(
+        f"{CORE}/replay.py", "core/test_branch.py",
+        ("for command in edits[state.iteration]:", "for command in ():"),
+        ("for command in edits[progress.iteration]:", "for command in ():"),
+    ),
+    *_of(
+        f"{CORE}/explorations/gaussian.py", "core/test_checkpoint_fields.py",
+        ('{} if self.directions is None else {"directions": self.directions}', "{}"),
+        ('self.directions = arrays.get("directions")', "pass"),
+    ),
+    *_of(
         f"{CORE}/checkpoint.py", "core/test_checkpoint_fields.py",
+        ('NOTES = "exploration/"', 'NOTES = "notes/"'),
         ('state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]',
          'state.control_start = facts["control_start"]'),
         ('state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]',
@@ -569,6 +590,12 @@ MUTANTS: tuple[Mutant, ...] = (
         ("if state.iteration in self._measured:", "if False:"),
         ("iteration for iteration in self._measured if iteration <= state.iteration", "state.iteration"),
         ("[self._record.seed, state.iteration, episodes]", "[time.time_ns()]"),
+    ),
+    *_of(
+        f"{CORE}/history.py", "core/test_train.py::test_a_pause_holds_until_the_run_is_resumed_or_stopped",
+        ("_HOLDS | Resume | Stop)]", "_HOLDS | Resume)]"),
+        ("_HOLDS | Resume | Stop)]", "_HOLDS | Stop)]"),
+        ("isinstance(said[-1], _HOLDS)", "isinstance(said[-1], Pause)"),
     ),
     *_of(
         f"{CORE}/train.py", "core/test_cmaes_rl.py::test_a_run_ends_with_the_best_candidate_and_its_policy",
@@ -672,9 +699,7 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         "studio/study/report/results.py", "studio/test_study_results.py",
         ("_moved(history), strict=True) if moved]", "_moved(history), strict=True)]"),
-        ("getattr(e, name) >= level", "getattr(e, name) > level"),
         ("_mean(loss[-ENDS:])", "_mean(loss[-1:])"),
-        ("key=lambda e: (e.final, e.iteration)", "key=lambda e: e.iteration"),
         ('self.status in ("finished", "failed")', 'self.status == "finished"'),
     ),
     *_of(
@@ -685,6 +710,21 @@ MUTANTS: tuple[Mutant, ...] = (
         ("better.low > 0.5", "better.value > 0.5"),
         ("last <= FALLS_TO * first", "last <= first"),
         ("row.final < row.initial for row in lengths[2:4]", "row.final < row.initial for row in lengths[2:3]"),
+    ),
+    *_of(
+        f"{CORE}/history.py", "studio/test_study_results.py",
+        ('_success") >= level', '_success") > level'),
+        ("key=lambda e: (e.final, e.iteration)", "key=lambda e: e.iteration"),
+    ),
+    *_of(
+        "studio/study/standing.py", "studio/test_study.py::test_neither_a_pause_nor_the_time_without_a_trainer_is_work",
+        ('event.time if event.status == "running" else None', "event.time"),
+        ("since, at = event.time, reached", "at = reached"),
+    ),
+    *_of(
+        "studio/study/standing.py", "studio/test_study.py::test_what_a_resume_does_again_counts_as_work_both_times",
+        ("reached.get(event.iteration, at)", "at"),
+        ("reached = {0: 0}", "reached: dict[int, int] = {}"),
     ),
     *_of(
         "studio/study/live.py", "studio/test_study_live.py",

@@ -16,12 +16,13 @@ from morph_core.config import paths_of
 from morph_core.design import DesignSpace
 from morph_core.history import History
 from morph_core.origin import Origin, origin_at
-from morph_core.protocol import Parameter
+from morph_core.protocol import Parameter, Resume
 from morph_core.run_folder import LAUNCH, RunFolder, process_alive
 from studio.cli.arguments import RunsArguments, UsageError, value_after
 from studio.cli.choice import open_run, place_of
 from studio.cli.follow import Outcome, follow
 from studio.cli.wanted import Wanted, branch_method, parse_wanted
+from studio.log import sender_here
 from studio.new_run import Branch, StartRun, method_at, prepare_run, space_at
 from studio.study.slurm import Slurm, slurm_launch
 from studio.trainers import spawn_trainer
@@ -182,6 +183,8 @@ def _resumed(wanted: Wanted) -> tuple[RunFolder, int | None]:
     if asked.iterations is None and (history.status == "finished" or history.iteration >= record.iterations):
         done = f"{folder.id} is done after {history.iteration} iterations"
         raise UsageError(f"{done}: give --iterations M for M further ones")
+    if history.paused_by_user:  # else its trainer would come back paused
+        folder.send(Resume(), sender_here("command line"))
     return folder, asked.iterations
 
 
@@ -242,7 +245,7 @@ def _document(history: History, outcome: Outcome) -> dict[str, object]:
         "phi": dict(zip(history.design_space.names, history.phi.tolist(), strict=True)),
         "last_evaluation": _evaluation(last),
         "best_evaluation": _evaluation(history.best),
-        "cpu_seconds": max([e.cpu_seconds for e in (*history.progress[-1:], *history.evaluations[-1:])], default=0.0),
+        "cpu_seconds": history.cpu_seconds,
     }
 
 

@@ -29,14 +29,10 @@ class SettingsForm:
         """The settings that are folded away, by dotted name."""
         self._folders: list[viser.GuiFolderHandle] = []
         self._filling = False
-        self.alpha = gui.add_number(
-            "α", 1.0, min=0.0, step=0.1, hint="Weight of the divergence between proxy and Hw-Phy in Eq. 2."
-        )
-        self.projection = gui.add_dropdown(
-            "projection", [""], hint="What happens to the task's gradient where it conflicts with the hardware's."
-        )
-        self.exploration = gui.add_dropdown("exploration", [""], hint="How the hardware's output z is explored.")
-        self.search = gui.add_dropdown("search", [""], hint="How the design is found whose physics match the proxy.")
+        self.alpha = gui.add_number("α", 1.0, min=0.0, step=0.1)
+        self.projection = gui.add_dropdown("projection", [""])
+        self.exploration = gui.add_dropdown("exploration", [""])
+        self.search = gui.add_dropdown("search", [""])
         self._slot = gui.add_folder(None)
         for path in _PARTS:
             self._in_sight[path].on_update(lambda _: self._choose_part())
@@ -62,7 +58,7 @@ class SettingsForm:
                 field = fields[path]
                 if field.choices:
                     handle.options = [str(choice) for choice in field.choices]
-                handle.value = field.default
+                handle.value, handle.hint = field.default, told(field)
         self._filling = False
         self._fold(list(fields.values()))
 

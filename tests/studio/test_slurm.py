@@ -18,7 +18,7 @@ from fastapi import FastAPI
 from hypothesis import given
 from hypothesis import strategies as st
 
-from morph_core.protocol import Acknowledged, Heartbeat, Pause, StateChanged, Stop
+from morph_core.protocol import Acknowledged, AnyCommand, Heartbeat, Pause, Resume, StateChanged, Stop
 from morph_core.run_folder import LAUNCH, EventLog, HeartbeatFile, RunFolder
 from studio.app import create_app
 from studio.cli import run
@@ -487,6 +487,27 @@ def test_a_run_of_slurms_goes_back_to_slurm_whoever_resumes_it(
     cluster.refuse(sbatch=["no"])
     assert run(["train", "--runs", str(runs.folder), "--resume", run_id]) == 2
     assert "remove" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("by_command_line", [True, False])
+@pytest.mark.parametrize("said", [[Pause()], [Pause(), Stop()], []])
+def test_who_resumes_a_run_takes_its_pause_back(
+    cluster: Cluster, runs: Runs, said: list[AnyCommand], by_command_line: bool
+) -> None:
+    run_id = runs.start(task="reacher", iterations=9)
+    folder = runs.get(run_id).folder
+    log = EventLog(folder)
+    for number, command in enumerate(said, start=1):
+        log.append(Acknowledged(id=number, iteration=0, accepted=True, command=command))
+    log.close()
+    end(folder, "stopped")
+    cluster.say(t42_0="COMPLETED||None")
+    if by_command_line:
+        assert run(["train", "--runs", str(runs.folder), "--resume", run_id]) == 0
+    else:
+        Runs(runs.folder, never).resume(run_id)
+    taken_back = [order.command for _, order in folder.pending() if order]
+    assert taken_back == ([Resume()] if said == [Pause()] else [])
 
 
 def test_the_list_of_runs_says_which_wait(runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
