@@ -35,6 +35,7 @@ _.visual
 # Fields of messages and records: written here, read by a browser, another program or a person.
 _.caption
 _.commands_sha256
+_.confidence
 _.cosine_negative
 _.design_sigma
 _.deterministic_return
@@ -48,6 +49,7 @@ _.mime_type
 _.part_count
 _.part_index
 _.phi_moved
+_.policy_iteration
 _.policy_std
 _.size_bytes
 _.source_component_uuid

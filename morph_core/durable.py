@@ -57,6 +57,15 @@ def replaced_folder(target: Path) -> Iterator[Path]:
     shutil.rmtree(old, ignore_errors=True)
 
 
+def move(source: Path, target: Path) -> None:
+    """Give a file or folder another place on the same file system; OSError, both unchanged, if `target` is there."""
+    if target.exists():
+        raise FileExistsError(f"{target} is there already")
+    source.rename(target)
+    _sync(target.parent)
+    _sync(source.parent)
+
+
 def recover(parent: Path) -> None:
     """Tidy up a folder whose hidden entries are all of this module: what was moved aside comes back, drafts go.
 

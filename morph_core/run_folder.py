@@ -148,6 +148,20 @@ class RunFolder:
             return []
         return sorted(int(p.name) for p in self.checkpoints.iterdir() if p.is_dir() and re.fullmatch(r"\d{6,}", p.name))
 
+    def checkpoint_up_to(self, iteration: int) -> int:
+        """Return the iteration of the newest checkpoint up to `iteration`.
+
+        Raise RunFolderError that says from where on there are any.
+        """
+        saved = self.checkpoint_iterations()
+        known = [i for i in saved if i <= iteration]
+        if not known:
+            first = f"the first is of iteration {saved[0]}" if saved else "there is none at all"
+            raise RunFolderError(
+                f"{self.id} has no checkpoint up to iteration {iteration}: no policy to evaluate; {first}"
+            )
+        return known[-1]
+
     def checkpoint(self, iteration: int) -> Path:
         """Return the path of the checkpoint of an iteration."""
         return self.checkpoints / f"{iteration:06d}"
@@ -360,9 +374,14 @@ def write_episode(folder: RunFolder, iteration: int, arrays: dict[str, np.ndarra
 def read_episode(folder: RunFolder, iteration: int) -> dict[str, np.ndarray]:
     """Return the arrays of a recorded episode; raise RunFolderError if there is no such episode or it is damaged."""
     try:
-        with np.load(folder.episode(iteration), allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        return episode_arrays(folder.episode(iteration).read_bytes())
     except FileNotFoundError:
         raise RunFolderError(f"{folder.id} has no episode of iteration {iteration}") from None
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise RunFolderError(f"episode {iteration} of {folder.id} can't be read: {error}") from error
+
+
+def episode_arrays(content: bytes) -> dict[str, np.ndarray]:
+    """Return the arrays of an episode's npz file. Nothing is unpickled."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}

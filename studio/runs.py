@@ -12,12 +12,16 @@ import msgspec
 from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, Evaluation, Parent, Resume, StateChanged, Status, Stop
+from morph_core.protocol import AnyCommand, AnyEvent, Evaluation, Parent, Resume, RunRecord, StateChanged, Status, Stop
 from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs
 from studio import limits
 from studio.commands import check_command
 from studio.inquest import Inquest
 from studio.new_run import StartRun, prepare_run
+from studio.shelf import trash
+from studio.shelf.marks import FILE, Marks, MarksChange, changed, read_marks, write_marks
+from studio.shelf.outcome import Outcome, evaluations_of, landmarks, outcome_of
+from studio.shelf.trash import Trashed
 from studio.study.local import CANCELLED
 from studio.study.slurm import Slurm, slurm_launch
 from studio.study.slurm_queue import SlurmError
@@ -28,6 +32,8 @@ WATCHED = 20
 KEPT = 40
 """Largest number of runs that are kept in memory."""
 _EVENTS_TAIL = 65536
+_AT_REST: tuple[Status, ...] = (*SAID_ENDED, "lost", "unreadable")
+"""States of a run that no trainer is at work on, and none is to be."""
 _TOLD_BY_SLURM: tuple[Status, ...] = ("queued", "stopped", "failed", "lost")
 """States of a run's folder of which Slurm may know more: the run may wait, or be at work where it is not seen."""
 
@@ -53,6 +59,13 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Share of episodes in which the sampled policy reached the goal on Hw-Phy, at the last evaluation."""
     parent: Parent | None = None
     """The run and iteration that this one was branched from."""
+    marks: Marks = Marks()
+
+
+class Row(Summary, frozen=True, kw_only=True):
+    """One line of the table of runs: what the list says of a run, and what it has come to."""
+
+    outcome: Outcome = Outcome()
 
 
 class Runs:
@@ -68,6 +81,7 @@ class Runs:
         self.folder = folder
         self.shown: str | None = None
         """The run on screen; None while the start panel is."""
+        self._turn_to: int | None = None
         self._spawn = spawn
         self._launcher = launcher
         self._slurm = launcher or Slurm()
@@ -76,6 +90,8 @@ class Runs:
         self._unreadable: dict[str, tuple[float, str]] = {}
         self._ended: dict[str, tuple[int, Summary]] = {}
         self._parents: dict[str, Parent | None] = {}
+        self._outcomes: dict[str, tuple[int, Outcome]] = {}
+        self._marks: dict[str, tuple[int, Marks]] = {}
         self._inquest = Inquest()
 
     # --- reading ---
@@ -103,11 +119,13 @@ class Runs:
         try:
             line = self._ended_summary(folder)
             if line is None:
-                return self._summarise(self.get(run_id))
-            status, reason = self._in_queue(folder, line.status, line.reason)
-            return msgspec.structs.replace(line, status=status, reason=reason)
+                line = self._summarise(self.get(run_id))
+            else:
+                status, reason = self._in_queue(folder, line.status, line.reason)
+                line = msgspec.structs.replace(line, status=status, reason=reason)
         except RunFolderError as error:
-            return Summary(id=run_id, status="unreadable", reason=str(error))
+            line = Summary(id=run_id, status="unreadable", reason=str(error))
+        return msgspec.structs.replace(line, marks=self.marks(folder))
 
     def summaries(self) -> list[Summary]:
         """Return all runs, newest first."""
@@ -116,6 +134,42 @@ class Runs:
             with contextlib.suppress(RunFolderError):  # removed this very moment
                 lines.append(msgspec.structs.replace(self.summary(run_id), current=run_id == self.shown))
         return lines
+
+    def rows(self) -> list[Row]:
+        """Return all runs with what they have come to, newest first."""
+        return [self._row(line) for line in self.summaries()]
+
+    def row(self, run_id: str) -> Row:
+        """Return one run with what it has come to; raise RunFolderError if there is no such run."""
+        return self._row(self.summary(run_id))
+
+    def outcome(self, run_id: str) -> Outcome:
+        """Return what a run has come to, nothing where its log is not there; RunFolderError if there is no such run."""
+        return self._outcome(find_run(self.folder, run_id))
+
+    def design(self, run_id: str, which: str) -> tuple[RunRecord, list[float]]:
+        """Return a run's record and phi of "best", "latest" or an iteration; raise RunFolderError if there is none."""
+        if which == "best" and (best := self.outcome(run_id).best):  # known without reading the whole run
+            return find_run(self.folder, run_id).record(), best.phi
+        history = self.get(run_id)
+        return history.record, history.design(which)[1].tolist()
+
+    def evaluations(self, run_id: str) -> tuple[RunRecord, list[Evaluation]]:
+        """Return a run's record and its evaluations; raise RunFolderError if there is no such run."""
+        folder = find_run(self.folder, run_id)
+        with self._lock:
+            return folder.record(), evaluations_of(self._landmarks(folder))
+
+    def marks(self, folder: RunFolder) -> Marks:
+        """Return what people have noted about a run."""
+        try:
+            changed_at = (folder.path / FILE).stat().st_mtime_ns
+        except OSError:
+            return Marks()
+        known = self._marks.get(folder.id)
+        if known is None or known[0] != changed_at:
+            known = self._marks[folder.id] = changed_at, read_marks(folder.path)
+        return known[1]
 
     def ids(self) -> list[str]:
         """Return the names of all runs, newest first."""
@@ -142,10 +196,17 @@ class Runs:
                     histories[name] = self.get(name)
         return histories
 
-    def show(self, run_id: str) -> None:
-        """Let the viewer show this run."""
-        self.get(run_id)
-        self.shown = run_id
+    def show(self, run_id: str, iteration: int | None = None) -> None:
+        """Let the viewer show this run, and the design of an iteration; RunFolderError if there is no such one."""
+        history = self.get(run_id)
+        if iteration is not None:
+            history.design(str(iteration))
+        self.shown, self._turn_to = run_id, iteration
+
+    def take_iteration(self) -> int | None:
+        """Return the iteration that the viewer is to turn to, once; None if it is to turn nowhere."""
+        wanted, self._turn_to = self._turn_to, None
+        return wanted
 
     def show_newest(self) -> None:
         """Let the viewer show the newest run that can be read, if there is one."""
@@ -153,6 +214,38 @@ class Runs:
             with contextlib.suppress(RunFolderError):
                 return self.show(run_id)
         return None
+
+    # --- keeping in order ---
+
+    def mark(self, run_id: str, change: MarksChange) -> Marks:
+        """Change what is noted about a run. Raise ValueError, nothing changed, if it is too long or unreadable."""
+        folder = find_run(self.folder, run_id)
+        with self._lock:
+            marks = changed(read_marks(folder.path), change)
+            write_marks(folder.path, marks)
+        return marks
+
+    def discard(self, run_id: str) -> Trashed:
+        """Move a run into the trash. Raise ValueError if a trainer is at work on it, or it waits for one."""
+        folder = find_run(self.folder, run_id)
+        with self._lock:
+            status = self.summary(run_id).status
+            if status not in _AT_REST:
+                raise ValueError(f"{run_id} is {status}: stop it, then delete it")
+            try:
+                trashed = trash.discard(folder)
+            except RunFolderError as error:
+                raise ValueError(f"{run_id} can't be deleted: {error}") from error
+            for kept in (self._histories, self._unreadable, self._ended, self._parents, self._outcomes, self._marks):
+                kept.pop(run_id, None)
+            if self.shown == run_id:
+                self.shown = None
+        trash.purge(self.folder)
+        return trashed
+
+    def restore(self, run_id: str) -> None:
+        """Bring a run back from the trash; raise RunFolderError if it is not there, ValueError if its name is taken."""
+        trash.restore(self.folder, run_id)
 
     # --- acting ---
 
@@ -243,6 +336,28 @@ class Runs:
         return status, f"{reason} ({place.why})" if status == "lost" and place.why else reason
 
     # --- opening ---
+
+    def _row(self, line: Summary) -> Row:
+        return Row(**msgspec.structs.asdict(line), outcome=self._outcome(RunFolder(self.folder / line.id)))
+
+    def _outcome(self, folder: RunFolder) -> Outcome:
+        """Return what a run has come to; its log is read again only when it has grown."""
+        try:
+            size = folder.events.stat().st_size
+        except OSError:
+            return Outcome()
+        with self._lock:
+            known = self._outcomes.get(folder.id)
+            if known is None or known[0] != size:
+                known = self._outcomes[folder.id] = size, outcome_of(self._landmarks(folder))
+            return known[1]
+
+    def _landmarks(self, folder: RunFolder) -> list[AnyEvent]:
+        history = self._histories.get(folder.id)
+        if history is None:
+            return landmarks(folder.events)
+        history.poll()
+        return history.events
 
     def _tail(self, folder: RunFolder) -> History:
         """Return the run's history, polled; an unreadable run is not read again until its run.json changes."""

@@ -157,9 +157,30 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/episodes.py", "core/test_episodes.py",
         ("task.solved(reached & rollout.alive)", "task.solved(reached)"),
-        (".sum() / episodes)", ".mean())"),
+        (".sum() / rollout.episodes)", ".mean())"),
         ("rng if sampled else None", "rng"),
         ("rollout.s[steps, episode] if steps < len(rollout.s) else rollout.last_s[episode]", "rollout.last_s[episode]"),
+    ),
+    # --- what if ---
+    *_of(
+        f"{CORE}/what_if.py", "studio/test_what_if.py::test_the_interval_of_a_success_is_that_of_scipy",
+        ("share * (1 - share) + z2 / (4 * episodes)", "share * (1 - share)"),
+        ("(successes + z2 / 2)", "(successes + z2)"),
+        ("(1 + CONFIDENCE) / 2", "CONFIDENCE"),
+    ),
+    *_of(
+        f"{CORE}/what_if.py",
+        "studio/test_what_if.py::test_the_interval_of_a_mean_is_as_wide_as_its_standard_error_says",
+        ("(len(values) - 1)", "len(values)"),
+    ),
+    *_of(
+        f"{CORE}/evaluate.py", "core/test_evaluate.py",
+        ("(term * rollout.alive).sum(0)", "term.sum(0)"),
+        (".whole.check(other_phi)", ".check(other_phi) * 0"),
+    ),
+    *_of(
+        f"{CORE}/design.py", "core/test_design.py",
+        ("hi=p.hard_hi, locked_at=None", "hi=p.hard_hi"),
     ),
     # --- the reacher's contact ---
     *_of(

@@ -27,7 +27,7 @@ _BACKGROUND = np.array([247, 247, 249])
 class View:
     """A camera on one design's scene. It frames the start and, where something is to be lifted, the way up."""
 
-    def __init__(self, task: Task, phi: np.ndarray, hw_phy: Hardware) -> None:
+    def __init__(self, task: Task, phi: np.ndarray, hw_phy: Hardware, width: int = WIDTH, height: int = HEIGHT) -> None:
         self._task = task
         self._geoms = Geoms.of(task.scene(phi).compile())
         start = task.qpos(task.reset(hw_phy, 1, np.random.default_rng(0)))[0]
@@ -36,13 +36,17 @@ class View:
         flat = size[2] < _FLAT * min(size[:2])
         low, high = (low - _AIR * size, high + _AIR * size) if flat else (low, high)
         corners = np.stack(np.meshgrid(*np.stack([low, high], 1)), -1).reshape(-1, 3)
-        self._camera = Camera.framing(corners, _ABOVE if flat else _OBLIQUE, WIDTH, HEIGHT)
+        self._camera = Camera.framing(corners, _ABOVE if flat else _OBLIQUE, width, height)
         self._light = Light(self._camera.axes @ _LAMP, _AMBIENT)
 
-    def frame(self, s: np.ndarray) -> np.ndarray:
-        """Return the picture (HEIGHT, WIDTH, 3) uint8 at one state s (state_size,)."""
+    def on_clear_ground(self, s: np.ndarray) -> np.ndarray:
+        """Return red, green, blue and opacity (height, width, 4) uint8 at one state s (state_size,)."""
         surfaces = self._geoms.at(self._task.qpos(s[None])[0])
-        image = draw([*surfaces, *self._shadows(surfaces)], self._camera, self._light).astype(float)
+        return draw([*surfaces, *self._shadows(surfaces)], self._camera, self._light)
+
+    def frame(self, s: np.ndarray) -> np.ndarray:
+        """Return the picture (height, width, 3) uint8 at one state s (state_size,)."""
+        image = self.on_clear_ground(s).astype(float)
         opacity = image[..., 3:] / 255
         return np.round(opacity * image[..., :3] + (1 - opacity) * _BACKGROUND).astype(np.uint8)
 

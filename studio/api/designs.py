@@ -31,6 +31,7 @@ from studio.runs import Runs
 
 MAX_EPISODE = 256 << 20
 Formats = Annotated[list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step; repeated or with commas")]
+OtherPhi = Annotated[list[float] | None, Query(description="All values of another design in its place; repeated")]
 _FILE = {"schema": {"type": "string", "format": "binary"}}
 _DESIGN_BODY = {
     "requestBody": {
@@ -38,8 +39,8 @@ _DESIGN_BODY = {
         "content": {"application/json": {"schema": {"type": "object"}}, "application/zip": _FILE},
     }
 }
-Export = Callable[[History, str, list[str] | None], Bundle]
-"""Function that builds an export of a run: export(history, which design, formats or None for all)."""
+Export = Callable[[History, str, list[str] | None, list[float] | None], Bundle]
+"""Function that builds an export of a run: export(history, which design, formats or None for all, another phi)."""
 
 
 def designs_of(history: History) -> Designs:
@@ -71,10 +72,10 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
     """Return the routes about what a run has produced."""
     router = APIRouter(prefix="/api/runs/{run_id}", tags=["designs"])
 
-    def exported(run_id: str, which: str, formats: list[str] | None) -> Bundle:
+    def exported(run_id: str, which: str, formats: list[str] | None, phi: list[float] | None) -> Bundle:
         history = runs.get(run_id)
         history.design(which)  # an unknown one is a 404, not a failed export
-        return export(history, which, [name for part in formats for name in part.split(",")] if formats else None)
+        return export(history, which, [name for part in formats for name in part.split(",")] if formats else None, phi)
 
     @router.get("/metrics", responses=gives(Metrics), summary="Traces: one entry per iteration and per evaluation")
     def metrics(run_id: str) -> Response:
@@ -106,8 +107,8 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives_file("application/zip", "One design for simulators, printers and people"),
         summary="Download a design: best, latest or an iteration",
     )
-    def export_design(run_id: str, which: str, formats: Formats = None) -> Response:
-        bundle = exported(run_id, which, formats)
+    def export_design(run_id: str, which: str, formats: Formats = None, phi: OtherPhi = None) -> Response:
+        bundle = exported(run_id, which, formats, phi)
         return _download(bundle.name, bundle.content, "application/zip")
 
     @router.get(
@@ -115,8 +116,8 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives(Checked),
         summary="What an export would hold, and what was compared; it is refused if anything disagrees",
     )
-    def check_design(run_id: str, which: str, formats: Formats = None) -> Response:
-        bundle = exported(run_id, which, formats)
+    def check_design(run_id: str, which: str, formats: Formats = None, phi: OtherPhi = None) -> Response:
+        bundle = exported(run_id, which, formats, phi)
         files = [ExportedFile(path, len(content)) for path, content in sorted(bundle.files.items())]
         checks = [Comparison(c.name, c.passed, c.worst, c.allowed, c.detail) for c in bundle.checks]
         return reply(Checked(bundle.name, len(bundle.content), files, checks))

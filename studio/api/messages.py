@@ -11,7 +11,11 @@ from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, 
 from studio.fields import Field
 from studio.log import LogEntry
 from studio.new_run import Number, StartRun
-from studio.runs import Summary
+from studio.runs import Row, Summary
+from studio.shelf.marks import Marks, MarksChange
+from studio.shelf.traces import Overlay
+from studio.shelf.trash import Trashed
+from studio.what_if import SweepPoint, WhatIf, Wish
 
 MAX_BODY = 1 << 20
 """Largest body of a request, in bytes."""
@@ -149,6 +153,12 @@ class Checked(msgspec.Struct, frozen=True):
     checks: list[Comparison]
 
 
+class Purged(msgspec.Struct, frozen=True):
+    """Answer to the wish to empty the trash: how many runs were removed for good."""
+
+    runs: int
+
+
 class Health(msgspec.Struct, frozen=True):
     """State of the server; `boot` changes with every start of it."""
 
@@ -190,7 +200,7 @@ def reply(message: object, status: int = 200) -> Response:
 
 _KINDS = (
     StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Metrics, Designs, Checked, Health, Refusal,
-    AnyCommand, AnyEvent,
+    AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 
@@ -236,6 +246,6 @@ REFUSALS: dict[int | str, dict[str, object]] = {
         404: "No such run, design or file",
         413: "A body that is too long",
         422: "A value that is not allowed",
-        503: "The disk refuses",
+        503: "The disk refuses, or the process that evaluates designs has died",
     }.items()
 }

@@ -3,7 +3,7 @@
 from typing import Annotated
 
 import msgspec
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from morph_core.protocol import AnyCommand
 from morph_core.run_folder import RunFolderError
@@ -89,8 +89,11 @@ def runs_router(runs: Runs) -> APIRouter:
         return reply(state_of(runs, run_id), 202)
 
     @router.post("/{run_id}/show", responses=gives(RunState), summary="Let the viewer show this run")
-    def show(run_id: str) -> Response:
-        runs.show(run_id)
+    def show(
+        run_id: str,
+        iteration: Annotated[int | None, Query(ge=0, description="Iteration whose design is shown; 0: initial")] = None,
+    ) -> Response:
+        runs.show(run_id, iteration)
         return reply(state_of(runs, run_id))
 
     return router

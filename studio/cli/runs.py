@@ -2,18 +2,20 @@
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
+from morph_core import run_folder
 from morph_core.protocol import Parent
 from morph_core.run_folder import RunFolderError
 from studio.branches import Member, place_in_words, trees
 from studio.cli.arguments import RunsArguments, parse
 from studio.runs import Runs
+from studio.shelf.marks import Marks
 
 
 @dataclass(frozen=True)
@@ -22,30 +24,43 @@ class ListArguments(RunsArguments):
 
     tree: bool = False
     """Show the runs as a tree, each under the run that it was branched from."""
+    archived: Literal["hide", "show", "only"] = "hide"
+    """Whether to leave archived runs out, to list them too, or alone."""
+    starred: bool = False
+    """List starred runs alone."""
+    tag: str | None = None
+    """List runs with this tag alone."""
     json: bool = False
     """Print one JSON document and nothing else."""
+
+    def takes(self, marks: Marks) -> bool:
+        """Tell whether a run with these marks is to be listed."""
+        archived = {"hide": not marks.archived, "show": True, "only": marks.archived}[self.archived]
+        return archived and (marks.starred or not self.starred) and (self.tag is None or self.tag in marks.tags)
 
 
 def main(words: Sequence[str]) -> int:
     """Run `morph-studio runs` with these words; return the exit status."""
     arguments = parse(ListArguments, words, "runs")
-    lines = list_runs(arguments.runs)
+    lines = list_runs(arguments.runs, arguments.takes)
     if arguments.json:
         json.dump(lines, sys.stdout, indent=2)
         sys.stdout.write("\n")
     elif arguments.tree and lines:
         _print_tree(lines)
     else:
-        _print_table(arguments.runs, lines)
+        _print_table(arguments, lines)
     return 0
 
 
-def list_runs(folder: Path) -> list[dict[str, object]]:
-    """Return one entry per run: what the API says about it, and its best evaluation."""
+def list_runs(folder: Path, takes: Callable[[Marks], bool]) -> list[dict[str, object]]:
+    """Return one entry per run whose marks are taken: what the API says about it, and its best evaluation."""
     runs = Runs(folder)
     runs.ask_slurm()
     lines = []
     for summary in runs.summaries():
+        if not takes(summary.marks):
+            continue
         line = msgspec.to_builtins(summary)
         del line["current"]  # which run a browser shows is the server's to know
         try:
@@ -90,7 +105,14 @@ def _print_tree(lines: list[dict[str, Any]]) -> None:
         console.print(stem)
 
 
-def _print_table(folder: Path, lines: list[dict[str, object]]) -> None:
+def _why_none(arguments: ListArguments) -> str:
+    total = len(run_folder.list_runs(arguments.runs))
+    if total:
+        return f"none of the {total} runs in {arguments.runs} is listed: archived ones are by --archived show"
+    return f"no runs in {arguments.runs} yet; start one: morph-studio train reacher"
+
+
+def _print_table(arguments: ListArguments, lines: list[dict[str, object]]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -99,10 +121,10 @@ def _print_table(folder: Path, lines: list[dict[str, object]]) -> None:
     if not console.is_terminal:
         console.width = 200  # a pipe has no width: names stay whole
     if not lines:
-        console.print(Text(f"no runs in {folder} yet; start one: morph-studio train reacher"), soft_wrap=True)
+        console.print(Text(_why_none(arguments)), soft_wrap=True)
         return
     table = Table(box=None, pad_edge=False)
-    for heading in ("run", "task", "method", "seed", "status", "iteration", "success", "best"):
+    for heading in ("run", "task", "method", "seed", "status", "iteration", "success", "best", "noted"):
         numeric = heading in ("seed", "iteration", "success", "best")
         table.add_column(heading, justify="right" if numeric else "left", overflow="fold")
     for line in lines:
@@ -113,8 +135,15 @@ def _print_table(folder: Path, lines: list[dict[str, object]]) -> None:
             "" if line["iterations"] is None else f"{line['iteration']}/{line['iterations']}",
             "" if line["success"] is None else f"{line['success']:.2f}",
             f"{best['success']:.2f} at {best['iteration']}" if isinstance(best, dict) else "",
+            _noted(msgspec.convert(line["marks"], Marks)),
         )))  # fmt: skip
     console.print(table)
     for line in lines:
         if line["reason"] and line["status"] in ("failed", "lost", "unreadable"):
             console.print(Text(f"{line['id']}: {line['reason']}"), soft_wrap=True)
+
+
+def _noted(marks: Marks) -> str:
+    """Return star, name and tags of a run in one cell."""
+    words = ["★" if marks.starred else "", marks.name, *(f"#{tag}" for tag in marks.tags)]
+    return " ".join([word for word in words if word] + ["(archived)"] * marks.archived)

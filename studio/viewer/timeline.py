@@ -90,8 +90,8 @@ class TimelinePanel:
         """Tell whether the shown iteration has a recorded episode."""
         return self.shown_iteration in self._recorded
 
-    def update(self, history: History, *, live: bool) -> None:
-        """Offer the iterations that a run has recorded, and say which one is shown."""
+    def update(self, history: History, *, live: bool, by_hand: bool = False) -> None:
+        """Offer the iterations that a run has recorded, and say which one is shown, or was changed `by_hand`."""
         another = self._history is None or history.record.id != self._history.record.id
         self._history = history
         if another:
@@ -104,9 +104,19 @@ class TimelinePanel:
         for handle in self._choices:
             handle.visible = handle is not self.printed or self._has_printed_parts
         if self.follow.value or not self._first <= self.iteration.value <= self.iteration.max:
-            self.iteration.value = min(self.shown_iteration, self.iteration.max)
+            self.iteration.value = self._known(self.shown_iteration)
         self.inject.visible = live and not self.follow.value
-        self.what.content = wording.paragraph(self._what())
+        changed = f"a body changed by hand, with the policy of iteration {self.shown_iteration}"
+        self.what.content = wording.paragraph(changed if by_hand else self._what())
+
+    def turn_to(self, iteration: int) -> None:
+        """Choose an iteration, or the nearest one that the run has, and follow the newest design no longer."""
+        self.follow.value = False
+        self.iteration.value = self._known(iteration)
+
+    def _known(self, iteration: int) -> int:
+        """Return the iteration of the slider that is nearest to another one."""
+        return max(self._first, min(iteration, int(self.iteration.max)))
 
     def clear(self, sentence: str) -> None:
         """Show no run, and `sentence` in its place."""
@@ -141,6 +151,11 @@ class TimelinePanel:
         self._player.play(playing)
         self.play.label = "Pause playback" if playing else "Play"
         self.play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
+
+    def hold(self) -> None:
+        """Stay at the shown iteration instead of following the latest one."""
+        shown = self.shown_iteration
+        self.follow.value, self.iteration.value = False, min(shown, int(self.iteration.max))
 
     def toggle_follow(self) -> None:
         """Begin to follow the latest design, or stop following it."""

@@ -28,6 +28,7 @@ from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
 from studio.viewer.timeline import TimelinePanel
 from studio.viewer.traces import TracesPanel
+from studio.viewer.what_if import Answers, WhatIfPanel
 
 NEW_RUN = "+ new run"
 _START_PATIENCE = 15.0
@@ -39,9 +40,10 @@ log = logging.getLogger(__name__)
 class Viewer:
     """The panels and the scene on a viser server; `show` is called a few times a second with fresh histories.
 
-    `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)` and
-    `on_export(run_id, which, formats)` do what people ask for; they refuse by a ValueError, whose sentence is shown.
-    `family(run_id)` is the tree in which a run stands.
+    `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)`,
+    `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
+    one)` do what people ask for; they refuse by a ValueError, whose sentence is shown. `answers` say how good a policy
+    is on a changed design, and `family(run_id)` is the tree in which a run stands.
     """
 
     def __init__(
@@ -51,13 +53,16 @@ class Viewer:
         on_command: Callable[[str, AnyCommand, str], object],
         on_start: Callable[[StartRun], str],
         on_resume: Callable[[str], None],
-        on_export: Callable[[str, str, Sequence[str]], Bundle],
+        on_branch: Callable[[str, int, list[float]], str],
+        on_export: Callable[[str, str, Sequence[str] | None, list[float] | None], Bundle],
+        answers: Answers,
         family: Callable[[str], Member | None],
     ) -> None:
         self._server = server
         self._on_command = on_command
         self._on_start = on_start
         self._on_resume = on_resume
+        self._on_branch = on_branch
         self._on_export = on_export
         self._family = family
         self._tree: tuple[object, Member | None] = (None, None)
@@ -92,6 +97,17 @@ class Viewer:
         with left.add_tab("Steer", viser.Icon.ADJUSTMENTS):
             self.steer = SteerPanel(gui, send=self._send)
             self.design = DesignPanel(gui, send=self._send)
+        with left.add_tab("What if", viser.Icon.HAND_MOVE):
+            self.what_if = WhatIfPanel(
+                gui,
+                answers=answers,
+                on_open=lambda: self.timeline.hold(),
+                on_change=self._show_scene,
+                on_inject=self._inject,
+                on_branch=self._branch,
+                on_export=self._export_changed,
+                on_refusal=self.refuse,
+            )
         self.player = Player(server, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
         self.timeline = TimelinePanel(
             gui, self.player, on_choice=self._refresh, on_inject=self._inject, on_refusal=self.refuse
@@ -119,6 +135,12 @@ class Viewer:
             self._settle_pending()
             self._refresh()
 
+    def turn_to(self, iteration: int) -> None:
+        """Show the design of an iteration of the run on screen."""
+        with self._lock:
+            self.timeline.turn_to(iteration)
+            self._refresh()
+
     def select(self, run_id: str | None) -> None:
         """Open the run of that name, or the start panel if it is None."""
         with self._lock:
@@ -139,7 +161,8 @@ class Viewer:
         self.notice.content = wording.alert(sentence) if sentence else ""
 
     def stop(self) -> None:
-        """End the viewer's thread; the server is left to whoever started it."""
+        """End the viewer's threads; the server is left to whoever started it."""
+        self.what_if.stop()
         self.player.stop()
 
     # --- what people ask for ---
@@ -200,7 +223,27 @@ class Viewer:
         run_id = self._selected
         if run_id is None:
             raise ValueError("there is no run to export from: start or choose one")
-        return self._on_export(run_id, which, formats)
+        return self._on_export(run_id, which, formats, None)
+
+    def _branch(self, iteration: int, phi: list[float], client: viser.ClientHandle | None) -> None:
+        run_id = self._selected
+        if run_id is None:
+            return
+        try:
+            self.select(self._on_branch(run_id, iteration, phi))
+        except (ValueError, OSError) as error:
+            self.refuse(str(error), client)
+
+    def _export_changed(self, iteration: int, phi: list[float], client: viser.ClientHandle) -> None:
+        run_id = self._selected
+        if run_id is None:
+            return
+        try:
+            bundle = self._on_export(run_id, str(iteration), None, phi)
+        except (ValueError, OSError) as error:
+            self.refuse(str(error), client)
+        else:
+            client.send_file_download(bundle.name, bundle.content, save_immediately=True)
 
     def _import(self, content: bytes, client: viser.ClientHandle | None) -> None:
         history = self._histories.get(self._selected or "")
@@ -254,12 +297,20 @@ class Viewer:
             self.steer.update(history, status)
             self.design.update(history, status)
             self.export.update(history)
-            self.timeline.update(history, live=live)
+            self.timeline.update(history, live=live, by_hand=self.what_if.is_changed)
             shown, phi = self._shown_design(history)
             self.run.offer_branch(shown)
             self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
+            self.what_if.update(history, shown, phi, live=live, following=self.timeline.follow.value)
             self.player.show(self._shot(history, shown, phi))
+
+    def _show_scene(self) -> None:
+        """Bring the scene alone up to date, as a body that is dragged must move at once."""
+        with self._lock:
+            history = self._histories.get(self._selected or "")
+            if history is not None:
+                self.player.show(self._shot(history, *self._shown_design(history)))
 
     def _family_of(self, run_id: str) -> Member | None:
         """Return the tree in which a run stands, found anew whenever another run is shown or runs come or go."""
@@ -273,6 +324,7 @@ class Viewer:
         self.steer.clear()
         self.design.clear()
         self.export.clear()
+        self.what_if.clear()
         if run_id is None:
             self.traces.clear("no data yet: press Start")
             self.timeline.clear("what a run begins with, in its start posture")
@@ -306,15 +358,20 @@ class Viewer:
             return history.design("latest")
 
     def _shot(self, history: History, shown: int, phi: np.ndarray) -> Shot:
-        initial = tuple(history.initial_phi.tolist())
+        recorded = (history.folder, shown) if self.timeline.has_episode else None
+        before, name = (tuple(history.initial_phi.tolist()), "initial")
+        changed = self.what_if.is_changed
+        if changed:
+            before, name = tuple(phi.tolist()), "recorded"
+        in_front = self.what_if.phi if self.what_if.open else phi
         return Shot(
             task=history.record.task,
             task_options=tuple(sorted(history.record.task_options.items())),
-            phi=tuple(phi.tolist()),
-            episode=(history.folder, shown) if self.timeline.has_episode else None,
-            ghost=initial
-            if self.timeline.ghost.value and (shown > history.begins_at or self.timeline.has_episode)
-            else None,
+            phi=tuple(in_front.tolist()),
+            episode=None if self.what_if.open else recorded,
+            played=self.what_if.episode if self.what_if.open else None,
+            ghost=before if self.timeline.ghost.value and (changed or shown > history.begins_at or recorded) else None,
+            ghost_name=name,
             trail=tuple(self.timeline.earlier(history)),
             printed=self.timeline.printed.value,
             population=self.timeline.population.value,

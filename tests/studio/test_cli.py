@@ -25,6 +25,7 @@ from studio.cli.evaluate import _print_result
 from studio.cli.follow import Outcome, _in_short
 from studio.cli.train import _document
 from studio.new_run import StartRun, prepare_run
+from studio.shelf.marks import Marks, write_marks
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "studio.cli"]
@@ -94,16 +95,27 @@ def test_milestones_and_diverged_episodes_are_reported(tmp_path: Path) -> None:
 
 
 def test_an_evaluation_is_printed_with_what_came_before_success(capsys: pytest.CaptureFixture[str]) -> None:
-    score = {"success": 0.25, "episode_return": -1.0, "milestones": {"lifted": 0.75}, "diverged": 0}
-    result = {"run": "r", "iteration": 3, "episodes": 8, "phi": {"length_1": 0.2}, "sampled": score}
+    score = {"success": 0.25, "success_interval": [0.07, 0.59], "episode_return": -1.0, "return_interval": [-1.5, -0.5]}
+    score |= {"milestones": {"lifted": 0.75}, "diverged": 0}
+    result = {
+        "run": "r",
+        "iteration": 3,
+        "policy_iteration": 3,
+        "episodes": 8,
+        "phi": {"length_1": 0.2},
+        "sampled": score,
+    }
     _print_result(result | {"deterministic": score})
     assert capsys.readouterr().out.splitlines()[1].split() == [
-        "policy,", "8", "episodes", "success", "lifted", "return"
+        "policy,", "8", "episodes", "success", "[95", "%]", "lifted", "return", "[95", "%]"
     ]  # fmt: skip
     _print_result(result | {"deterministic": score | {"diverged": 2}})
     heading, *rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
     assert heading[-1] == "diverged"
-    assert rows == [["sampled", "0.250", "0.750", "-1.000", "0"], ["deterministic", "0.250", "0.750", "-1.000", "2"]]
+    scores = ["0.250", "[0.07,", "0.59]", "0.750", "-1.000", "[-1.50,", "-0.50]"]
+    assert rows == [["sampled", *scores, "0"], ["deterministic", *scores, "2"]]
+    _print_result(result | {"deterministic": score, "iteration": 5})
+    assert "iteration 5 has no checkpoint: the policy is that of iteration 3" in capsys.readouterr().out
 
 
 def test_help_lists_the_commands_within_a_second() -> None:
@@ -230,6 +242,26 @@ def test_an_empty_folder_has_no_runs(tmp_path: Path) -> None:
     assert json.loads(morph_studio("runs", "--json", cwd=tmp_path).stdout) == []
 
 
+def test_runs_shows_what_people_have_noted_and_leaves_archived_ones_out(folder: RunFolder) -> None:
+    runs = folder.path.parent
+    write_marks(folder.path, Marks(starred=True, name="[b]Long fingers[/b]", tags=("to print",)))
+    archived = prepare_run(runs, task="reacher", seed=4)
+    write_marks(archived.path, Marks(archived=True))
+
+    def listed(*words: str) -> list[str]:
+        return [line["id"] for line in json.loads(morph_studio("runs", "--runs", str(runs), "--json", *words).stdout)]
+
+    shown = morph_studio("runs", "--runs", str(runs)).stdout
+    assert "★ [b]Long fingers[/b] #to print" in shown
+    assert archived.id not in shown
+    assert listed() == listed("--starred") == listed("--tag", "to print") == [folder.id]
+    assert listed("--archived", "only") == [archived.id]
+    assert set(listed("--archived", "show")) == {folder.id, archived.id}
+    assert listed("--tag", "other") == []
+    assert "none of the 2 runs" in morph_studio("runs", "--runs", str(runs), "--tag", "other").stdout
+    assert "(archived)" in morph_studio("runs", "--runs", str(runs), "--archived", "show").stdout
+
+
 def test_the_folder_of_runs_may_come_from_the_environment(folder: RunFolder, tmp_path: Path) -> None:
     assert folder.id in morph_studio("runs", cwd=tmp_path, MORPH_RUNS=str(folder.path.parent)).stdout
 
@@ -300,6 +332,17 @@ def test_a_design_is_handed_to_a_run_that_is_at_work_and_to_no_other(folder: Run
         ("export RUN --design newest", "choose best, latest or an iteration"),
         ("evaluate RUN --design 9", "choose best, latest or 0 to 2"),
         ("evaluate RUN --episodes 0", "--episodes must be at least 1"),
+        ("evaluate RUN --phi 1 2", "--phi: phi has 2 entries; 5 are needed: link_1"),
+        ("evaluate RUN --phi link_1=9", "link_1 must lie inside [0.05, 5] m, not 9"),
+        ("evaluate RUN --phi link_1=-1", "link_1 must lie inside [0.05, 5] m, not -1"),
+        ("evaluate RUN --phi link_1=nan", "link_1 must be finite"),
+        ("evaluate RUN --phi lnk_1=1", '(did you mean "link_1"?)'),
+        ("evaluate RUN --phi link_1=long", '"long" is no number'),
+        ("evaluate RUN --phi link_1=1 link_1=2", "named twice"),
+        ("evaluate RUN --phi link_1=1 2 3 4 5", "not both"),
+        ("evaluate RUN --phi link_1=1 --phi-from nowhere.json", "choose one of --phi and --phi-from"),
+        ("evaluate RUN --phi link_1=1", "no checkpoint up to iteration 1"),
+        ("evaluate RUN --phi", "--phi"),
         ("evaluate RUN --phi-from nowhere.json", "nowhere.json can't be read"),
         ("import nowhere.json --into RUN", "nowhere.json can't be read"),
         ("import RUN --into RUN --start", "choose one of --into RUN and --start"),

@@ -61,6 +61,20 @@ def unpack(content: bytes) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
+def test_a_design_changed_by_hand_is_exported_under_a_name_that_says_so(history: History) -> None:
+    phi = [2.0, 1.0, 1.5, 2.5, 4.5]  # link_1 outside the bounds that are in force, inside the task's own box
+    bundle = build_bundle(history, "3", ["mjcf", "urdf"], phi)
+    files = unpack(bundle.content)
+    assert bundle.name == f"{history.folder.id}-000003-changed-by-hand.zip"
+    design = json.loads(files["design.json"])
+    assert (design["design"], design["iteration"]) == ("3, changed by hand", 3)
+    assert [p["value"] for p in design["parameters"]] == phi
+    assert all(check.passed for check in verify(files))
+    for wrong, said in (([9.0] * 5, "outside"), ([1.0], "5 are needed"), ([float("nan")] * 5, "outside")):
+        with pytest.raises(ExportError, match=said):
+            build_bundle(history, "3", None, wrong)
+
+
 def test_the_zip_holds_robot_scene_design_and_provenance(history: History) -> None:
     bundle = build_bundle(history, "best")
     files = unpack(bundle.content)
@@ -143,7 +157,7 @@ def test_a_recorded_design_outside_the_task_is_refused(history: History, phi: li
     log = EventLog(history.folder)
     log.append(Progress(iteration=4, env_steps=9, phi=phi, episode_return=0, success=0, policy_std=0.5))
     history.poll()
-    with pytest.raises(ExportError, match="recorded design"):
+    with pytest.raises(ExportError, match=r"the design (has|is)|of the design"):
         build_bundle(history, "latest")
 
 

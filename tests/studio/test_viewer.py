@@ -47,6 +47,15 @@ def folder(tmp_path: Path) -> RunFolder:
     return make_run(tmp_path / "runs", NAME, ended="finished")
 
 
+def test_the_viewer_turns_to_an_iteration_and_follows_no_longer(page: Page, folder: RunFolder) -> None:
+    page.show(folder)
+    page.viewer.turn_to(2)
+    take = page.take(lambda take: take.shot.phi[0] == pytest.approx(2.8))
+    assert (take.shot.episode, page.viewer.timeline.follow.value) == (None, False)
+    page.viewer.turn_to(999)
+    assert page.viewer.timeline.shown_iteration == 3
+
+
 @pytest.fixture
 def wire(page: Page) -> Iterator[Callable[[viser.GuiInputHandle, object], None]]:
     """Return a function that sets a value as a browser does: viser checks nothing of it."""

@@ -1,0 +1,1 @@
+"""What the runs page is made of: marks, outcomes, traces, thumbnails and the trash."""

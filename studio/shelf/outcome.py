@@ -1,0 +1,105 @@
+"""What a run has come to, from the few events that tell it: a log of thousands of iterations is not read in full."""
+
+from collections.abc import Iterable, Sequence
+from itertools import zip_longest
+from pathlib import Path
+
+import msgspec
+
+from morph_core.protocol import AnyEvent, Evaluation, Progress, StateChanged, decode_event
+
+_EVERY_ITERATION = b'"kind":"progress"'
+"""Words by which a line that tells of an iteration is known; one that is written otherwise is read like any other."""
+
+
+class Score(msgspec.Struct, frozen=True):
+    """Success and return of a design on Hw-Phy, over the episodes of one evaluation with the sampled policy."""
+
+    iteration: int
+    success: float
+    episode_return: float
+    phi: list[float]
+
+
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """What a run has come to so far."""
+
+    env_steps: int | None = None
+    """Environment steps of the trajectories."""
+    seconds: float | None = None
+    """Time that trainers were at work, pauses included, in seconds."""
+    last: Score | None = None
+    best: Score | None = None
+    """The evaluation with the most success, then the highest return."""
+
+
+def outcome_of(events: Sequence[AnyEvent]) -> Outcome:
+    """Return what these events have come to. Of the iterations, the last one before any other event is enough."""
+    evaluations = evaluations_of(events)
+    best = max(evaluations, key=lambda e: (e.sampled_success, e.sampled_return), default=None)
+    return Outcome(
+        env_steps=_steps(events, evaluations),
+        seconds=_seconds(events),
+        last=score_of(evaluations[-1]) if evaluations else None,
+        best=score_of(best) if best else None,
+    )
+
+
+def _steps(events: Sequence[AnyEvent], evaluations: Sequence[Evaluation]) -> int | None:
+    for event in reversed(events):
+        match event:
+            case Progress() | Evaluation():
+                return event.env_steps
+            case StateChanged(status="starting"):
+                return evaluations[-1].env_steps if evaluations else None
+    return None
+
+
+def _seconds(events: Sequence[AnyEvent]) -> float | None:
+    """Return how long all trainers together were at work: each from its start to the last that it said."""
+    starts = [i for i, event in enumerate(events) if isinstance(event, StateChanged) and event.status == "starting"]
+    if not starts:
+        return None
+    ends = [*(i - 1 for i in starts[1:]), len(events) - 1]
+    return sum(events[end].time - events[start].time for start, end in zip(starts, ends, strict=True))
+
+
+def evaluations_of(events: Iterable[AnyEvent]) -> list[Evaluation]:
+    """Return the evaluations among events, without those that a resume has voided."""
+    evaluations: list[Evaluation] = []
+    for event in events:
+        match event:
+            case StateChanged(status="starting"):
+                evaluations = _kept(evaluations, event)
+            case Evaluation():
+                evaluations.append(event)
+    return evaluations
+
+
+def landmarks(log: Path) -> list[AnyEvent]:
+    """Return the events of a log without those iterations that another one follows; whole lines alone count."""
+    try:
+        lines = log.read_bytes().splitlines(keepends=True)
+    except OSError:
+        return []
+    if lines and not lines[-1].endswith(b"\n"):
+        del lines[-1]
+    events = []
+    for line, following in zip_longest(lines, lines[1:], fillvalue=b""):
+        if _EVERY_ITERATION in line and _EVERY_ITERATION in following:
+            continue
+        try:
+            events.append(decode_event(line))
+        except msgspec.DecodeError:
+            continue
+    return events
+
+
+def score_of(evaluation: Evaluation) -> Score:
+    """Return what an evaluation says of the sampled policy."""
+    return Score(evaluation.iteration, evaluation.sampled_success, evaluation.sampled_return, evaluation.phi)
+
+
+def _kept(evaluations: list[Evaluation], start: StateChanged) -> list[Evaluation]:
+    """Return the evaluations that a trainer goes on from: a resume voids what came after its checkpoint."""
+    return [e for e in evaluations if e.iteration <= start.iteration]

@@ -1,0 +1,91 @@
+"""The trash of a folder of runs: deleted runs, until they are restored or purged.
+
+A deleted run lies in `.trash`, under the time of its deletion and its name. It is purged after `DAYS`; and of more than
+`MOST` runs the oldest are, once they have lain there for `AT_LEAST`, so that any deletion can be undone.
+"""
+
+import re
+import shutil
+import time
+from pathlib import Path
+
+import msgspec
+
+from morph_core import durable
+from morph_core.run_folder import RunFolder, RunFolderError, hold
+
+FOLDER = ".trash"
+"""A name that no run can have."""
+DAYS = 7
+MOST = 200
+AT_LEAST = 3600.0
+"""Seconds that a deleted run lies in the trash, however many there are."""
+_ENTRY = re.compile(r"(\d{13})\.(.+)")
+
+
+class Trashed(msgspec.Struct, frozen=True):
+    """A deleted run; times are seconds since the epoch."""
+
+    id: str
+    deleted: float
+    purged: float
+    """When it is removed for good, at the latest: the trash is looked through at a start and at every deletion."""
+
+
+def discard(folder: RunFolder, now: float | None = None) -> Trashed:
+    """Move a run into the trash, in one step. Raise RunFolderError if a trainer holds it."""
+    moment = round(time.time() if now is None else now, 3)
+    runs = folder.path.parent
+    (runs / FOLDER).mkdir(exist_ok=True)
+    with hold(folder):
+        durable.move(folder.path, runs / FOLDER / f"{round(moment * 1000):013d}.{folder.id}")
+    return _trashed(folder.id, moment)
+
+
+def restore(runs: Path, run_id: str) -> None:
+    """Bring a run back, the one deleted last of that name. Raise RunFolderError if there is none, or its name is taken
+    by another run."""
+    entries = _entries(runs)
+    found = next((path for path, trashed in entries if trashed.id == run_id), None)
+    if found is None:
+        choices = ", ".join(trashed.id for _, trashed in entries[:8])
+        raise RunFolderError(f'no run "{run_id[:80]}" is in the trash; choose from: {choices or "none"}')
+    try:
+        durable.move(found, runs / run_id)
+    except FileExistsError:
+        raise ValueError(f"another run is called {run_id} by now: move its folder away first") from None
+
+
+def trashed_runs(runs: Path) -> list[Trashed]:
+    """Return the runs in the trash, the one deleted last first."""
+    return [trashed for _, trashed in _entries(runs)]
+
+
+def purge(runs: Path, now: float | None = None) -> None:
+    """Remove for good what has lain in the trash for too long."""
+    moment = time.time() if now is None else now
+    for i, (path, trashed) in enumerate(_entries(runs)):
+        if moment >= trashed.purged or (i >= MOST and moment >= trashed.deleted + AT_LEAST):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def empty(runs: Path) -> int:
+    """Remove all deleted runs for good; return how many there were."""
+    entries = _entries(runs)
+    for path, _ in entries:
+        shutil.rmtree(path, ignore_errors=True)
+    return len(entries)
+
+
+def _entries(runs: Path) -> list[tuple[Path, Trashed]]:
+    """Return what is in the trash, the newest first; what is no deleted run is none of the studio's."""
+    folder = runs / FOLDER
+    if not folder.is_dir() or folder.is_symlink():
+        return []
+    matches = ((path, _ENTRY.fullmatch(path.name)) for path in folder.iterdir())
+    found = [(path, _trashed(m[2], int(m[1]) / 1000)) for path, m in matches if m and not path.is_symlink()]
+    return sorted(found, key=lambda entry: entry[1].deleted, reverse=True)
+
+
+def _trashed(run_id: str, deleted: float) -> Trashed:
+    return Trashed(run_id, deleted, deleted + DAYS * 86400)
