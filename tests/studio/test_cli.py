@@ -123,13 +123,15 @@ def test_help_lists_the_commands_within_a_second() -> None:
     done = morph_studio("--help")
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines() if line.startswith("  ")] == [
-        "serve", "train", "study", "runs", "evaluate", "export", "verify", "import",
+        "serve", "train", "study", "runs", "log", "replay", "evaluate", "export", "verify", "import",
     ]  # fmt: skip
     after = os.times()
     assert after.children_user + after.children_system - before.children_user - before.children_system < 1.0
 
 
-@pytest.mark.parametrize("command", ["serve", "train", "study", "runs", "evaluate", "export", "verify", "import"])
+@pytest.mark.parametrize(
+    "command", ["serve", "train", "study", "runs", "log", "replay", "evaluate", "export", "verify", "import"]
+)
 def test_every_command_explains_itself(command: str) -> None:
     done = morph_studio(command, "--help")
     assert done.returncode == 0
@@ -245,7 +247,7 @@ def test_an_empty_folder_has_no_runs(tmp_path: Path) -> None:
 def test_runs_shows_what_people_have_noted_and_leaves_archived_ones_out(folder: RunFolder) -> None:
     runs = folder.path.parent
     write_marks(folder.path, Marks(starred=True, name="[b]Long fingers[/b]", tags=("to print",)))
-    archived = prepare_run(runs, task="reacher", seed=4)
+    archived = prepare_run(runs, StartRun(task="reacher", seed=4))
     write_marks(archived.path, Marks(archived=True))
 
     def listed(*words: str) -> list[str]:
