@@ -115,7 +115,7 @@ def _branch(history: History, iteration: int, phi: Sequence[float]) -> StartRun:
         )
         for p, value in zip(history.at(iteration).space.parameters, phi, strict=True)
     ]
-    return StartRun(branch=Branch(history.record.id, iteration), parameters=parameters)
+    return StartRun(branch=Branch(history.folder.id, iteration), parameters=parameters)
 
 
 def create_app(

@@ -290,7 +290,7 @@ class Runs:
             until = history.iteration + further if further is not None else None
             self._slurm.resume(self.folder, run_id, until=until)
         if history.paused_by_user:  # else its trainer would come back paused
-            history.folder.send(Resume())
+            history.folder.send(Resume(), "studio")
         self.shown = run_id
 
     def send(self, run_id: str, command: AnyCommand, sender: str = "") -> int:

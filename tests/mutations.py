@@ -543,6 +543,21 @@ MUTANTS: tuple[Mutant, ...] = (
         ("self.relabelled_steps += self.hw_nn.fit", "self.relabelled_steps = self.hw_nn.fit"),
     ),
     *_of(
+        f"{CORE}/beginning.py", "core/test_branch.py",
+        ("state.rng = before.rng", "pass"),
+        ("state.fitted = before.fitted and not moved", "state.fitted = before.fitted"),
+        ("before.frozen and not moved and _box_of(state) == _box_of(before)", "before.frozen and not moved"),
+        ("state.control_start = state.last_reached = state.iteration", "pass"),
+        ("state.notes.recall(before.notes.arrays)", "pass"),
+        ("state.memory.recall(before.memory.facts)", "pass"),
+        ("restore({name: state.control.modules[name] for name in fitting}, {}, tensors)", "pass"),
+    ),
+    *_of(
+        f"{CORE}/replay.py", "core/test_branch.py",
+        ("for command in edits[state.iteration]:", "for command in ():"),
+        ("for command in edits[progress.iteration]:", "for command in ():"),
+    ),
+    *_of(
         f"{CORE}/explorations/gaussian.py", "core/test_checkpoint_fields.py",
         ('{} if self.directions is None else {"directions": self.directions}', "{}"),
         ('self.directions = arrays.get("directions")', "pass"),

@@ -22,6 +22,7 @@ from studio.cli.arguments import RunsArguments, UsageError, value_after
 from studio.cli.choice import open_run, place_of
 from studio.cli.follow import Outcome, follow
 from studio.cli.wanted import Wanted, branch_method, parse_wanted
+from studio.log import sender_here
 from studio.new_run import Branch, StartRun, method_at, prepare_run, space_at
 from studio.study.slurm import Slurm, slurm_launch
 from studio.trainers import spawn_trainer
@@ -183,7 +184,7 @@ def _resumed(wanted: Wanted) -> tuple[RunFolder, int | None]:
         done = f"{folder.id} is done after {history.iteration} iterations"
         raise UsageError(f"{done}: give --iterations M for M further ones")
     if history.paused_by_user:  # else its trainer would come back paused
-        folder.send(Resume())
+        folder.send(Resume(), sender_here("command line"))
     return folder, asked.iterations
 
 

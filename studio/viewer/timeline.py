@@ -104,15 +104,19 @@ class TimelinePanel:
         for handle in self._choices:
             handle.visible = handle is not self.printed or self._has_printed_parts
         if self.follow.value or not self._first <= self.iteration.value <= self.iteration.max:
-            self.iteration.value = min(self.shown_iteration, self.iteration.max)
+            self.iteration.value = self._known(self.shown_iteration)
         self.inject.visible = live and not self.follow.value
         changed = f"a body changed by hand, with the policy of iteration {self.shown_iteration}"
         self.what.content = wording.paragraph(changed if by_hand else self._what())
 
     def turn_to(self, iteration: int) -> None:
-        """Choose an iteration, the last one at most, and follow the newest design no longer."""
+        """Choose an iteration, or the nearest one that the run has, and follow the newest design no longer."""
         self.follow.value = False
-        self.iteration.value = min(iteration, int(self.iteration.max))
+        self.iteration.value = self._known(iteration)
+
+    def _known(self, iteration: int) -> int:
+        """Return the iteration of the slider that is nearest to another one."""
+        return max(self._first, min(iteration, int(self.iteration.max)))
 
     def clear(self, sentence: str) -> None:
         """Show no run, and `sentence` in its place."""

@@ -602,7 +602,7 @@ def test_a_branch_that_was_killed_ends_where_its_parent_did_and_is_replayed(tmp_
     done = subprocess.run(command, capture_output=True, text=True, timeout=100)
     assert (done.returncode, done.stdout.count("the same to the last bit")) == (0, 1), done.stderr
     stopped = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    while not psutil.Process(stopped.pid).children():
+    while not any("morph_core.replay" in child.cmdline() for child in psutil.Process(stopped.pid).children()):
         assert stopped.poll() is None
         time.sleep(0.05)
     stopped.send_signal(signal.SIGINT)
