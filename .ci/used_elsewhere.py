@@ -49,6 +49,7 @@ _.mime_type
 _.part_count
 _.part_index
 _.phi_moved
+_.policy_iteration
 _.policy_std
 _.size_bytes
 _.source_component_uuid
@@ -91,3 +92,7 @@ _.__dir__
 _.__getattr__
 _.forward
 _.memo
+
+# The command line reads them in the JSON that a replay prints.
+_.recorded_on
+_.replayed_on

@@ -1,13 +1,14 @@
 """Checkpoints: the whole State as safetensors and JSON, there whole or not at all."""
 
 import json
+from collections.abc import Mapping
 
 import msgspec
 import numpy as np
 import safetensors
 import torch
 from safetensors.torch import load_file, save
-from torch import Tensor
+from torch import Tensor, nn
 
 from morph_core import durable
 from morph_core.design import DesignSpace
@@ -17,15 +18,15 @@ from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.state import State, start
 from morph_core.task import Task
 
-DIRECTIONS = "exploration/directions"
-"""Name of `State.directions` among the tensors."""
+NOTES = "exploration/"
+"""What the names of the exploration's notes begin with among the tensors."""
 
 
 def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None:
     """Write checkpoints/<iteration>/; an earlier one of the same iteration stays until the new one is whole."""
     with durable.replaced_folder(folder.checkpoint(state.iteration)) as draft:
         # Not save_file: its files are their owner's alone, whatever the umask, and a group could not go on with a run.
-        (draft / "weights.safetensors").write_bytes(save(_tensors(state)))
+        (draft / "weights.safetensors").write_bytes(save(tensors_of(state)))
         facts = {
             "iteration": state.iteration,
             "env_steps": state.env_steps,
@@ -71,7 +72,8 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Metho
         state.fitted, state.frozen = facts["fitted"], facts["frozen"]
         state.rng.bit_generator.state = facts["rng"]
         state.memory.recall(facts.get("memory", {}))
-        _restore(state, tensors)
+        restore(state.modules, state.optimizers, tensors)
+        state.notes.recall({k.removeprefix(NOTES): v.numpy() for k, v in tensors.items() if k.startswith(NOTES)})
         return state, facts["cpu_seconds"]
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, safetensors.SafetensorError) as error:
         raise RunFolderError(f"checkpoint {iteration} of {folder.id} can't be read: {error}") from error
@@ -87,30 +89,31 @@ def load_newest(folder: RunFolder, task: Task, method: Method) -> tuple[State, f
     return None
 
 
-def _tensors(state: State) -> dict[str, Tensor]:
+def tensors_of(state: State) -> dict[str, Tensor]:
+    """Return every tensor that a checkpoint holds, by the name that it has there."""
     tensors = {}
     for name, module in state.modules.items():
         tensors |= {f"{name}/{key}": value.contiguous() for key, value in module.state_dict().items()}
     for name, optimizer in state.optimizers.items():
         for index, moments in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}_optimizer/{index}/{key}": value.contiguous() for key, value in moments.items()}
-    if state.directions is not None:
-        tensors[DIRECTIONS] = torch.from_numpy(state.directions)
-    return tensors
+    return tensors | {f"{NOTES}{name}": torch.from_numpy(array) for name, array in state.notes.arrays.items()}
 
 
-def _restore(state: State, tensors: dict[str, Tensor]) -> None:
-    for name, module in state.modules.items():
+def restore(
+    modules: Mapping[str, nn.Module], optimizers: Mapping[str, torch.optim.Optimizer], tensors: Mapping[str, Tensor]
+) -> None:
+    """Give networks and optimisers what `tensors_of` a state has under their names."""
+    for name, module in modules.items():
         prefix = f"{name}/"
         module.load_state_dict({k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)})
-    for name, optimizer in state.optimizers.items():
+    for name, optimizer in optimizers.items():
         moments: dict[int, dict[str, Tensor]] = {}
         for key, value in tensors.items():
             if key.startswith(f"{name}_optimizer/"):
                 _, index, moment = key.split("/")
                 moments.setdefault(int(index), {})[moment] = value
         optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
-    state.directions = tensors[DIRECTIONS].numpy() if DIRECTIONS in tensors else None
 
 
 def all_finite(state: State) -> bool:

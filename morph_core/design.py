@@ -48,6 +48,12 @@ class DesignSpace:
         return np.array([[p.hard_lo for p in self.parameters], [p.hard_hi for p in self.parameters]])
 
     @property
+    def whole(self) -> "DesignSpace":
+        """Return the space with the task's own box as its bounds, and nothing locked."""
+        widened = (msgspec.structs.replace(p, lo=p.hard_lo, hi=p.hard_hi, locked_at=None) for p in self.parameters)
+        return DesignSpace(tuple(widened))
+
+    @property
     def scale(self) -> np.ndarray:
         """Return a typical change of each parameter (d,): the unit of exploration and search."""
         return np.array([p.scale for p in self.parameters])

@@ -1,5 +1,6 @@
 """Success and return, always on Hw-Phy with the given phi; and one recorded episode for playback."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,14 +24,39 @@ def evaluate(
     task: Task, policy: Policy, phi: np.ndarray, episodes: int, rng: np.random.Generator, sampled: bool
 ) -> tuple[Score, Rollout]:
     """Run the policy, sampled or deterministic, on Hw-Phy with phi (d,), which it is told where it sees phi."""
-    hw_phy, policy = task.hw_phy(phi), policy.at(phi)
-    start = task.reset(hw_phy, episodes, rng)
-    rollout = collect(task, lambda observation: policy.act(observation, rng if sampled else None), hw_phy, start)
+    rollout = play(task, policy, phi, episodes, rng, sampled)
+    return score_of(task, rollout), rollout
+
+
+def score_of(task: Task, rollout: Rollout) -> Score:
+    """Return what the episodes came to."""
     milestones = {
-        name: float(task.solved(reached & rollout.alive).sum() / episodes)
+        name: float(task.solved(reached & rollout.alive).sum() / rollout.episodes)
         for name, reached in rollout.milestones.items()
     }
-    return Score(rollout.success_rate, rollout.mean_return, milestones, rollout.diverged), rollout
+    return Score(rollout.success_rate, rollout.mean_return, milestones, rollout.diverged)
+
+
+def play(
+    task: Task,
+    policy: Policy,
+    phi: np.ndarray,
+    episodes: int,
+    rng: np.random.Generator,
+    sampled: bool,
+    before_step: Callable[[], None] = lambda: None,
+) -> Rollout:
+    """Return episodes of the policy on Hw-Phy with phi (d,), which it is told where it sees phi.
+
+    Whatever `before_step` raises before one of the control steps ends them early.
+    """
+    hw_phy, policy = task.hw_phy(phi), policy.at(phi)
+
+    def act(observation: np.ndarray) -> np.ndarray:
+        before_step()
+        return policy.act(observation, rng if sampled else None)
+
+    return collect(task, act, hw_phy, task.reset(hw_phy, episodes, rng))
 
 
 def record_episode(task: Task, rollout: Rollout, phi: np.ndarray, episode: int = 0) -> dict[str, np.ndarray]:

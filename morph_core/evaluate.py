@@ -1,20 +1,25 @@
 """`python -m morph_core.evaluate --run DIR`: success and return of a run's design and policy on Hw-Phy, as JSON."""
 
 import argparse
-import dataclasses
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import torch
 
 from morph_core.catalogue import make_task, read_method
 from morph_core.checkpoint import load_checkpoint
 from morph_core.design import DesignSpace
-from morph_core.episodes import evaluate
+from morph_core.episodes import play, score_of
 from morph_core.history import History
+from morph_core.networks import Policy
+from morph_core.rollout import Rollout
 from morph_core.run_folder import RunFolder, RunFolderError
+from morph_core.task import Task
+from morph_core.what_if import Measured, mean_interval, wilson_interval
 
 
 def evaluate_run(
@@ -23,33 +28,60 @@ def evaluate_run(
     """Return success and return of design `which` with the policy of the newest checkpoint up to its iteration.
 
     `other_phi` takes the design's place. Raise RunFolderError where there is no such design or policy, ValueError
-    where `other_phi` is outside the run's box.
+    where `other_phi` is outside the task's own box or can't be put together.
     """
     history = History(folder)
     iteration, phi = history.design(which)
-    if other_phi is not None:
-        phi = DesignSpace(tuple(history.record.parameters)).check(other_phi)
-    saved = [i for i in folder.checkpoint_iterations() if i <= iteration]
-    if not saved:
-        raise RunFolderError(f"{folder.id} has no checkpoint up to iteration {iteration}: no policy to evaluate")
+    checkpoint = folder.checkpoint_up_to(iteration)
     task = make_task(history.record.task, history.record.task_options)
-    state, _ = load_checkpoint(folder, saved[-1], task, read_method(history.record))
+    if other_phi is not None:
+        phi = DesignSpace(tuple(history.record.parameters)).whole.check(other_phi)
+        task.check_buildable(phi)
+    state, _ = load_checkpoint(folder, checkpoint, task, read_method(history.record))
     scores = {}
     for name, sampled in (("sampled", True), ("deterministic", False)):
-        rng = np.random.default_rng([seed, iteration])
-        score, _ = evaluate(task, state.control.policy, phi, episodes, rng, sampled)
-        scores[name] = dataclasses.asdict(score)
+        measured, _ = measure(task, state.control.policy, phi, episodes, (seed, iteration), sampled)
+        scores[name] = msgspec.to_builtins(measured)
     return {
         "run": folder.id,
         "task": task.name,
         "method": history.record.method,
         "iteration": iteration,
-        "policy_iteration": saved[-1],
+        "policy_iteration": checkpoint,
         "episodes": episodes,
         "seed": seed,
         "phi": dict(zip(history.design_space.names, phi.tolist(), strict=True)),
         **scores,
     }
+
+
+def measure(
+    task: Task,
+    policy: Policy,
+    phi: np.ndarray,
+    episodes: int,
+    seeds: tuple[int, int],
+    sampled: bool,
+    before_step: Callable[[], None] = lambda: None,
+) -> tuple[Measured, Rollout]:
+    """Run the policy on Hw-Phy with phi (d,), and say what it came to; whatever `before_step` raises ends it early."""
+    rollout = play(task, policy, phi, episodes, np.random.default_rng(seeds), sampled, before_step)
+    score, returns = score_of(task, rollout), rollout.returns.tolist()
+    terms = {
+        name: float((term * rollout.alive).sum(0).mean()) if returns else 0.0
+        for name, term in rollout.reward_terms.items()
+    }
+    measured = Measured(
+        episodes=episodes,
+        success=score.success,
+        success_interval=wilson_interval(int(rollout.successes.sum()), episodes),
+        episode_return=score.episode_return,
+        return_interval=mean_interval(returns, score.episode_return),
+        reward_terms=terms,
+        milestones=score.milestones,
+        diverged=score.diverged,
+    )
+    return measured, rollout
 
 
 def main() -> int:

@@ -1,7 +1,7 @@
 """What an exploration of z is: a world to collect trajectories in (line 2), and a pull on the proxy (line 3)."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -49,6 +49,18 @@ class Metric:
     further_weight: np.ndarray | None = None  # (B', z_size)
 
 
+class Notes:
+    """What an exploration keeps from one iteration to the next; one that keeps nothing has these empty ones."""
+
+    @property
+    def arrays(self) -> Mapping[str, np.ndarray]:
+        """Return by name what a checkpoint holds of it."""
+        return {}
+
+    def recall(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Take back the `arrays` that a checkpoint held."""
+
+
 @dataclass(frozen=True)
 class Exploration(Settings, ABC):
     """How z is explored, so that the policy gradient can reach psi."""
@@ -59,6 +71,10 @@ class Exploration(Settings, ABC):
     def check(self, task: Task) -> None:
         """Raise ValueError with the reason where the task can't be explored so."""
         return
+
+    def notes(self) -> Notes:
+        """Return what the exploration keeps from one iteration to the next, as it is before the first."""
+        return Notes()
 
     @property
     def proxy_rests(self) -> bool:
@@ -93,7 +109,7 @@ class Exploration(Settings, ABC):
         return rollout.success_rate
 
     def prepare(self, task: Task, state: "State", spread: Spread, rollout: Rollout) -> None:
-        """Note at the end of an iteration in `state` what the next one's world needs of this rollout."""
+        """Note at the end of an iteration what the next one's world needs of this rollout."""
         return
 
 

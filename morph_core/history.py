@@ -5,6 +5,7 @@ import dataclasses
 import math
 import time
 from dataclasses import dataclass
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -18,17 +19,24 @@ from morph_core.protocol import (
     Evaluation,
     Heartbeat,
     InjectDesign,
+    Pause,
     Progress,
+    Resume,
     RunRecord,
     SetAlpha,
     SetProjection,
     StateChanged,
     Status,
+    StepIteration,
+    Stop,
 )
 from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, still_beating
 
 STARTS_WITHIN = 10.0
 """Seconds after its creation in which a run has a heartbeat, unless it is queued."""
+
+_HOLDS = Pause | StepIteration
+"""The commands after which a run holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +133,12 @@ class History:
         """Return the commands that were obeyed before `iteration`, and not undone by a resume from before them."""
         return [e for e in self._changes if isinstance(e, Acknowledged) and e.iteration < iteration]
 
+    @property
+    def paused_by_user(self) -> bool:
+        """Whether a user has paused the run, and no later command lets it go on or stops it."""
+        said = [e.command for e in self.acknowledged if e.accepted and isinstance(e.command, _HOLDS | Resume | Stop)]
+        return bool(said) and isinstance(said[-1], _HOLDS)
+
     def _begun_with(self) -> InForce:
         space = DesignSpace(tuple(self.record.parameters))
         try:
@@ -168,9 +182,14 @@ class History:
         return self.state.message if self.state else ""
 
     @property
+    def begins_at(self) -> int:
+        """Iteration from which the run counts on; 0 but for a branch that goes on where its parent was."""
+        return self.record.begins_at
+
+    @property
     def iteration(self) -> int:
-        """Last iteration that was recorded; 0 before the first."""
-        return self.progress[-1].iteration if self.progress else 0
+        """Last iteration that was recorded; before the first, that from which the run counts on."""
+        return self.progress[-1].iteration if self.progress else self.begins_at
 
     @property
     def planned_iterations(self) -> int | None:
@@ -195,8 +214,22 @@ class History:
         """The evaluation with the most sampled success, then the highest return."""
         return max(self.evaluations, key=lambda e: (e.sampled_success, e.sampled_return), default=None)
 
+    @property
+    def last_evaluation(self) -> Evaluation | None:
+        """The evaluation at the end of the budget, or the last one before it."""
+        return max(self.evaluations, key=lambda e: (e.final, e.iteration), default=None)
+
+    def first_evaluation(self, kind: Literal["sampled", "deterministic"], level: float) -> Evaluation | None:
+        """Return the first evaluation in which the success of this policy was at least `level`."""
+        return next((e for e in self.evaluations if getattr(e, f"{kind}_success") >= level), None)
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time until the last word of an iteration or an evaluation."""
+        return max((e.cpu_seconds for e in (*self.progress[-1:], *self.evaluations[-1:])), default=0.0)
+
     def design(self, which: str) -> tuple[int, np.ndarray]:
-        """Return iteration and phi (d,) of "best", "latest", or an iteration; 0 is the initial design.
+        """Return iteration and phi (d,) of "best", "latest", or an iteration; 0 is the initial design, of a branch too.
 
         Raise RunFolderError that says what is allowed.
         """
@@ -205,14 +238,15 @@ class History:
         if which == "best":
             best = self.best
             return (best.iteration, np.array(best.phi)) if best else (self.iteration, self.phi)
-        if which == "0":
-            return 0, self.initial_phi
+        if which in ("0", str(self.begins_at)):
+            return self.begins_at, self.initial_phi
         if not which.isdecimal():
             raise RunFolderError(f'no design "{which[:40]}"; choose best, latest or an iteration (0: the initial one)')
         for progress in self.progress:
             if progress.iteration == int(which):
                 return progress.iteration, np.array(progress.phi)
-        raise RunFolderError(f"{self.folder.id} has no iteration {which}; choose best, latest or 0 to {self.iteration}")
+        allowed = f"choose best, latest or {self.begins_at} to {self.iteration}"
+        raise RunFolderError(f"{self.folder.id} has no iteration {which}; {allowed}")
 
 
 def _after(event: Progress | Acknowledged | DesignSpaceChanged, before: InForce) -> InForce:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from msgspec import Meta
 
 from morph_core.config import Count, Projection, Settings
+from morph_core.exploration import Notes
 from morph_core.parts import Evaluation, Ppo, ProxyFit, Schedule
 from morph_core.protocol import Progress
 from morph_core.search import Memory
@@ -68,6 +69,10 @@ class Method(Settings, ABC):
     def memory(self, proxy: "HwNN | None") -> Memory:
         """Return what the method's search for phi keeps from one iteration to the next, as it is at the start."""
         return Memory()
+
+    def notes(self) -> Notes:
+        """Return what the method's exploration keeps from one iteration to the next, as it is at the start."""
+        return Notes()
 
     def check(self, task: Task) -> None:
         """Raise ValueError with the reason where the task can't be run so."""

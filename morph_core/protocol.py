@@ -122,6 +122,8 @@ class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     id: int
     command: AnyCommand
+    sender: str = ""
+    """Words on who sent it and by which way, where that is known."""
 
 
 # --- Events -----------------------------------------------------------------------------------------------------------
@@ -213,6 +215,8 @@ class Acknowledged(Event, tag="command", frozen=True):
     accepted: bool
     command: AnyCommand
     message: str = ""
+    sender: str = ""
+    """Words on who sent the command and by which way, where that is known."""
 
 
 class DesignSpaceChanged(Event, tag="design_space", frozen=True):
@@ -252,10 +256,13 @@ class Heartbeat(msgspec.Struct, frozen=True):
 
 
 class Parent(msgspec.Struct, frozen=True):
-    """The run and iteration that a run was branched from."""
+    """The run and iteration that a run was branched from, or whose design it began with."""
 
     run: str
     iteration: int
+    checkpoint: int | None = None
+    """Iteration of the checkpoint that a branch took along: the nearest up to `iteration`; None for a run that took
+    only a design."""
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -281,6 +288,8 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     git_dirty: bool | None = None
     created: float
     parent: Parent | None = None
+    begins_at: int = 0
+    """Iteration from which the run counts on: that of the checkpoint which a branch with its parent's method took."""
 
 
 class _Format(msgspec.Struct, frozen=True):

@@ -8,7 +8,7 @@ import platform
 import re
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,10 +29,14 @@ STUDY = "study.json"
 """File beside run folders that makes them one study: its plan."""
 REPORT = "report"
 """Folder beside run folders that holds the report of their study."""
+ORIGIN = "origin"
+"""Folder in that of a branch which holds what it took along of its parent: run.json and one checkpoint."""
 LAUNCH = "launch.json"
 """File in a run folder that says by whom its trainer is started."""
 SAID_ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
 """Statuses by which a trainer says that it has ended."""
+LONGEST_SENDER = 200
+"""Largest number of characters that are kept of who sent a command."""
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -144,6 +148,20 @@ class RunFolder:
             return []
         return sorted(int(p.name) for p in self.checkpoints.iterdir() if p.is_dir() and re.fullmatch(r"\d{6,}", p.name))
 
+    def checkpoint_up_to(self, iteration: int) -> int:
+        """Return the iteration of the newest checkpoint up to `iteration`.
+
+        Raise RunFolderError that says from where on there are any.
+        """
+        saved = self.checkpoint_iterations()
+        known = [i for i in saved if i <= iteration]
+        if not known:
+            first = f"the first is of iteration {saved[0]}" if saved else "there is none at all"
+            raise RunFolderError(
+                f"{self.id} has no checkpoint up to iteration {iteration}: no policy to evaluate; {first}"
+            )
+        return known[-1]
+
     def checkpoint(self, iteration: int) -> Path:
         """Return the path of the checkpoint of an iteration."""
         return self.checkpoints / f"{iteration:06d}"
@@ -154,15 +172,18 @@ class RunFolder:
 
     # --- the inbox ---
 
-    def send(self, command: AnyCommand) -> int:
-        """Put a command into the inbox and return the id by which it will be acknowledged."""
+    def send(self, command: AnyCommand, sender: str = "") -> int:
+        """Put a command into the inbox and return the id by which it will be acknowledged.
+
+        `sender` says in words who sends it and by which way.
+        """
         self.commands.mkdir(exist_ok=True)
         taken = [int(p.stem) for p in self.commands.iterdir() if p.stem.isdigit()]
         acknowledged = [e.id for e in self.read_events()[0] if isinstance(e, protocol.Acknowledged)]
         number = max(taken + acknowledged, default=0) + 1
         while True:
             draft = self.commands / f".{number:06d}.{os.getpid()}.{time.monotonic_ns()}"
-            durable.write_file(draft, protocol.encode(Order(number, command)))
+            durable.write_file(draft, protocol.encode(Order(number, command, sender[:LONGEST_SENDER])))
             try:
                 os.link(draft, self.commands / f"{number:06d}.json")  # fails where rename would replace another's
                 return number
@@ -220,8 +241,11 @@ def _is_report(path: Path) -> bool:
     return path.name == REPORT and (path.parent / STUDY).exists()
 
 
-def create_run(runs: Path, record: RunRecord) -> RunFolder:
-    """Write a new run folder: whole or not at all. Raise RunFolderError if the name is taken."""
+def create_run(runs: Path, record: RunRecord, files: Mapping[str, bytes] | None = None) -> RunFolder:
+    """Write a new run folder: whole or not at all. Raise RunFolderError if the name is taken.
+
+    `files` are written into it, by their path in the folder.
+    """
     if not RUN_ID.fullmatch(record.id):
         raise RunFolderError(f"{record.id!r} is no run name: letters, digits, dot, dash and underscore, at most 128")
     runs.mkdir(parents=True, exist_ok=True)
@@ -232,6 +256,9 @@ def create_run(runs: Path, record: RunRecord) -> RunFolder:
                 (draft / folder).mkdir()
             (draft / "run.json").write_bytes(msgspec.json.format(protocol.encode(record), indent=2))
             (draft / "events.jsonl").touch()
+            for name, content in (files or {}).items():
+                (draft / name).parent.mkdir(parents=True, exist_ok=True)
+                (draft / name).write_bytes(content)
     except OSError:
         if target.exists():
             raise RunFolderError(f"a run named {record.id} is there already") from None
@@ -347,9 +374,14 @@ def write_episode(folder: RunFolder, iteration: int, arrays: dict[str, np.ndarra
 def read_episode(folder: RunFolder, iteration: int) -> dict[str, np.ndarray]:
     """Return the arrays of a recorded episode; raise RunFolderError if there is no such episode or it is damaged."""
     try:
-        with np.load(folder.episode(iteration), allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        return episode_arrays(folder.episode(iteration).read_bytes())
     except FileNotFoundError:
         raise RunFolderError(f"{folder.id} has no episode of iteration {iteration}") from None
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise RunFolderError(f"episode {iteration} of {folder.id} can't be read: {error}") from error
+
+
+def episode_arrays(content: bytes) -> dict[str, np.ndarray]:
+    """Return the arrays of an episode's npz file. Nothing is unpickled."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}

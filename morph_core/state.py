@@ -10,6 +10,7 @@ from torch import nn
 from morph_core.config import Projection
 from morph_core.control import Control
 from morph_core.design import DesignSpace
+from morph_core.exploration import Notes
 from morph_core.hw_nn import HwNN
 from morph_core.method import Method
 from morph_core.protocol import Progress
@@ -37,16 +38,13 @@ class State:
     """Hw-NN with its optimiser; None for a method without a proxy."""
     memory: Memory
     """What the search for phi keeps from one iteration to the next."""
+    notes: Notes
+    """What the exploration keeps from one iteration to the next."""
     rng: np.random.Generator
     fitted: bool = False
     """Whether the proxy has been fitted to Hw-Phy at the initial design."""
     explored: np.ndarray | None = None  # (N, d)
     """The designs that the last iteration explored, for people; no checkpoint holds them."""
-    directions: np.ndarray | None = None  # (d, z_size, k)
-    """What a change of each design parameter by 1 asks of the last layer of the proxy, where the noise on z is made so;
-    None before the first rollout."""
-    noise: np.ndarray | None = None  # (N, z_size, k)
-    """What noise adds to the last layer of the proxy in each episode of this iteration; no checkpoint holds it."""
     frozen: bool = False
     """Whether phi stays as it is, and every episode runs on it."""
     relabelled_steps: int = 0
@@ -133,6 +131,7 @@ def start(task: Task, method: Method, seed: int, design_space: DesignSpace | Non
     weights = torch.Generator().manual_seed(seed)
     control = method.control(task, weights)
     proxy = HwNN(task, method.proxy_fit, method.hidden, weights) if method.proxy_fit else None
-    memory = method.memory(proxy)
+    memory, notes = method.memory(proxy), method.notes()
     alpha, projection = method.steering
-    return State(0, 0, space.initial, space, alpha, projection, control, proxy, memory, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    return State(0, 0, space.initial, space, alpha, projection, control, proxy, memory, notes, rng)

@@ -22,9 +22,9 @@ import psutil
 import torch
 
 from morph_core import protocol
+from morph_core.beginning import begin
 from morph_core.catalogue import make_task, read_method
 from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
-from morph_core.design import DesignSpace
 from morph_core.edits import AnyEdit, edited
 from morph_core.episodes import Score, evaluate, record_episode
 from morph_core.history import History, InForce
@@ -44,14 +44,14 @@ from morph_core.protocol import (
 )
 from morph_core.rollout import Rollout
 from morph_core.run_folder import EventLog, HeartbeatFile, HeldError, RunFolder, RunFolderError, hold, write_episode
-from morph_core.state import State, start
+from morph_core.state import State
 from morph_core.task import Task
 
 T = TypeVar("T")
 HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
-PAUSED = "it keeps its core, on a cluster until the time limit: Resume goes on, Stop saves and frees the core"
+PAUSED = "it keeps its core, on a cluster too: Resume goes on, Stop saves and frees the core"
 SHOWN_DESIGNS = 12
 """Largest number of explored designs that are kept with an evaluation."""
 _SAVED_AFTER = AnyEdit | protocol.Checkpoint
@@ -66,11 +66,12 @@ class Trainer:
         self._record = folder.record()
         self._status: Status = "starting"
         self._stage, self._message = "loading", ""
-        self._stopping = self._paused = self._step = False
+        self._stopping = self._step = False
         self._pace: deque[tuple[float, int]] = deque(maxlen=20)  # s and environment steps of the last iterations
         self._iteration = self._env_steps = 0
         self._cpu_start = time.process_time()  # s, when this run's CPU clock stood at zero
         history = History(folder)
+        self._paused = history.paused_by_user
         self._last = history.iteration + further if further is not None else until or self._record.iterations
         self._budget = None if (further or until) is not None else self._record.env_steps
         self._longest_iteration = 1  # environment steps
@@ -171,13 +172,14 @@ class Trainer:
         recover_checkpoints(self._folder)
         newest = load_newest(self._folder, task, method)
         if newest is None:
-            state = start(task, method, self._record.seed, DesignSpace(tuple(self._record.parameters)))
-            newest = state, 0.0
-        state, cpu_before = newest
+            first = begin(self._folder, self._record, task, method)
+            state, cpu_before, origin = first.state, first.cpu_seconds, first.words
+        else:
+            state, cpu_before = newest
+            origin = f"from the checkpoint of iteration {state.iteration}"
         self._cpu_start = time.process_time() - cpu_before
         self._iteration, self._env_steps = state.iteration, state.env_steps
         self._measured = {iteration for iteration in self._measured if iteration <= state.iteration}
-        origin = f"from the checkpoint of iteration {state.iteration}" if state.iteration else "from the initial design"
         self._write(
             StateChanged(
                 status="starting", iteration=state.iteration, message=origin, processor=processor(),
@@ -185,6 +187,8 @@ class Trainer:
             )
         )  # fmt: skip
         self._write(DesignSpaceChanged(iteration=state.iteration, parameters=list(state.design_space.parameters)))
+        if newest is None and self._record.parent:
+            self._checkpoint(state)  # what it took along can be evaluated, exported and branched from at once
         return state
 
     def _take_in(self, task: Task, method: Method, state: State, progress: Progress) -> None:
@@ -286,7 +290,12 @@ class Trainer:
             self._write(DesignSpaceChanged(iteration=state.iteration, parameters=parameters))
         self._write(
             Acknowledged(
-                id=order.id, iteration=state.iteration, accepted=accepted, command=order.command, message=message
+                id=order.id,
+                iteration=state.iteration,
+                accepted=accepted,
+                command=order.command,
+                message=message,
+                sender=order.sender,
             )
         )
         self._answered.add(order.id)

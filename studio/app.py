@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 import anyio
+import msgspec
 import uvicorn
 import viser
 from fastapi import FastAPI, Request, Response
@@ -22,7 +23,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, Status
+from morph_core.protocol import Status
 from morph_core.run_folder import RunFolderError
 from studio.api.designs import designs_router, imports_router
 from studio.api.docs import docs_router
@@ -32,8 +33,12 @@ from studio.api.runs import runs_router
 from studio.api.shelf import shelf_router
 from studio.api.study import study_router
 from studio.api.tasks import tasks_router
+from studio.api.what_if import what_if_router
+from studio.branches import tree_of
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
+from studio.evaluator import Evaluator, EvaluatorError
 from studio.export.bundle import Bundle, build_bundle
+from studio.new_run import Branch, StartRun
 from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
@@ -41,7 +46,8 @@ from studio.shelf import trash
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
-from studio.viewer import StartRequest, Viewer
+from studio.viewer import Viewer
+from studio.what_if import WhatIfs
 
 SHOW_INTERVAL = 0.2
 """Seconds between two looks at the runs for the viewer."""
@@ -79,28 +85,37 @@ class _GuardedApp(FastAPI):
         return Guard(super().build_middleware_stack(), self.state.access)
 
 
-def make_viewer(server: viser.ViserServer, runs: Runs) -> Shows:
+def make_viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Shows:
     """Return the studio's viewer, with what its users ask for passed on to the runs."""
 
-    def on_command(run_id: str, command: AnyCommand) -> None:
-        runs.send(run_id, command)
+    def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
+        return runs.start(_branch(runs.get(run_id), iteration, phi))
 
-    def on_start(wish: StartRequest) -> str:
-        return runs.start(
-            task=wish.task,
-            preset=wish.preset,
-            method=wish.method,
-            seed=wish.seed,
-            iterations=wish.iterations,
-            settings=wish.settings,
-            task_options=wish.task_options,
-            parameters=wish.parameters,
+    def on_export(run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None) -> Bundle:
+        return build_bundle(runs.get(run_id), which, formats, phi)
+
+    return Viewer(
+        server,
+        on_command=runs.send,
+        on_start=runs.start,
+        on_resume=runs.resume,
+        on_branch=on_branch,
+        on_export=on_export,
+        answers=what_ifs,
+        family=lambda run_id: tree_of(run_id, runs.parents()),
+    )
+
+
+def _branch(history: History, iteration: int, phi: Sequence[float]) -> StartRun:
+    """Return the wish for a branch of a run that goes on with phi (d,), under the bounds and locks of an iteration;
+    they give way where phi lies beyond them."""
+    parameters = [
+        msgspec.structs.replace(
+            p, lo=min(p.lo, value), hi=max(p.hi, value), initial=value, locked_at=None if p.locked_at is None else value
         )
-
-    def on_export(run_id: str, which: str, formats: Sequence[str] | None) -> Bundle:
-        return build_bundle(runs.get(run_id), which, formats)
-
-    return Viewer(server, on_command=on_command, on_start=on_start, on_resume=runs.resume, on_export=on_export)
+        for p, value in zip(history.at(iteration).space.parameters, phi, strict=True)
+    ]
+    return StartRun(branch=Branch(history.record.id, iteration), parameters=parameters)
 
 
 def create_app(
@@ -108,13 +123,14 @@ def create_app(
     *,
     runs: Runs | None = None,
     launcher: Slurm | None = None,
-    viewer: Callable[[viser.ViserServer, Runs], Shows] = make_viewer,
+    viewer: Callable[[viser.ViserServer, Runs, WhatIfs], Shows] = make_viewer,
 ) -> FastAPI:
-    """Return the application; `app.state` holds `access`, `runs` and, while it runs, `viser`.
+    """Return the application; `app.state` holds `access`, `runs`, `evaluator` and, while it runs, `viser`.
 
     New runs are started by `launcher`, by default as processes of this machine.
     """
-    reserve, report = Reserve(), LiveReport(settings.runs)
+    reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
+    what_ifs = WhatIfs(evaluator)
     watched = runs or Runs(settings.runs, reserve.spawn, launcher)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
 
@@ -124,13 +140,14 @@ def create_app(
         watched.show_newest()
         with contextlib.ExitStack() as ends:
             ends.callback(report.close)
+            ends.callback(evaluator.close)
             if runs is None:
                 ends.callback(reserve.close)
                 if launcher is None:
                     reserve.load()
             app.state.viser = GuardedViser()
             ends.callback(app.state.viser.stop)
-            shown, done = viewer(app.state.viser.server, watched), threading.Event()
+            shown, done = viewer(app.state.viser.server, watched, what_ifs), threading.Event()
             ends.callback(shown.stop)
             painter = threading.Thread(target=keep_showing, args=(shown, watched, done), name="viewer", daemon=True)
             painter.start()
@@ -151,13 +168,14 @@ def create_app(
         telemetry={"tracing": False, "metrics": False, "logs": False},  # would carry the link's token elsewhere
     )
     app.state.access = Access(settings)
-    app.state.runs = watched
+    app.state.runs, app.state.evaluator = watched, evaluator
     for router in (
         tasks_router(),
         runs_router(watched),
         designs_router(watched, build_bundle),
         imports_router(watched),
         events_router(watched, stopping),
+        what_if_router(watched, what_ifs),
         study_router(report),
         shelf_router(watched),
         viewer_router(),
@@ -218,6 +236,7 @@ def _add_refusals(app: FastAPI) -> None:
     app.add_exception_handler(ValueError, refuse(422))
     app.add_exception_handler(RequestValidationError, refuse_parameters)
     app.add_exception_handler(OSError, refuse(503))
+    app.add_exception_handler(EvaluatorError, refuse(503))
 
 
 class _Server(uvicorn.Server):

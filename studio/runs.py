@@ -4,7 +4,6 @@ import contextlib
 import shutil
 import subprocess
 import threading
-import typing
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,12 +12,12 @@ import msgspec
 from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, AnyEvent, Evaluation, RunRecord, StateChanged, Status, Stop
+from morph_core.protocol import AnyCommand, AnyEvent, Evaluation, Parent, Resume, RunRecord, StateChanged, Status, Stop
 from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs
 from studio import limits
 from studio.commands import check_command
 from studio.inquest import Inquest
-from studio.new_run import prepare_run
+from studio.new_run import StartRun, prepare_run
 from studio.shelf import trash
 from studio.shelf.marks import FILE, Marks, MarksChange, changed, read_marks, write_marks
 from studio.shelf.outcome import Outcome, evaluations_of, landmarks, outcome_of
@@ -58,6 +57,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     eta_seconds: float | None = None
     success: float | None = None
     """Share of episodes in which the sampled policy reached the goal on Hw-Phy, at the last evaluation."""
+    parent: Parent | None = None
+    """The run and iteration that this one was branched from."""
     marks: Marks = Marks()
 
 
@@ -88,6 +89,7 @@ class Runs:
         self._histories: dict[str, History] = {}  # least recently used first
         self._unreadable: dict[str, tuple[float, str]] = {}
         self._ended: dict[str, tuple[int, Summary]] = {}
+        self._parents: dict[str, Parent | None] = {}
         self._outcomes: dict[str, tuple[int, Outcome]] = {}
         self._marks: dict[str, tuple[int, Marks]] = {}
         self._inquest = Inquest()
@@ -173,6 +175,15 @@ class Runs:
         """Return the names of all runs, newest first."""
         return list_runs(self.folder)[::-1]
 
+    def parents(self) -> dict[str, Parent | None]:
+        """Return the parent of each run, or None, newest run first; a run that can't be read has none."""
+        names = self.ids()
+        for name in names:
+            if name not in self._parents:  # run.json is written once
+                with contextlib.suppress(RunFolderError):
+                    self._parents[name] = RunFolder(self.folder / name).record().parent
+        return {name: self._parents.get(name) for name in names}
+
     def watched(self) -> dict[str, History]:
         """Return the runs the viewer may show, newest first: recent, running, and the current one."""
         names = self.ids()
@@ -225,7 +236,7 @@ class Runs:
                 trashed = trash.discard(folder)
             except RunFolderError as error:
                 raise ValueError(f"{run_id} can't be deleted: {error}") from error
-            for kept in (self._histories, self._unreadable, self._ended, self._outcomes, self._marks):
+            for kept in (self._histories, self._unreadable, self._ended, self._parents, self._outcomes, self._marks):
                 kept.pop(run_id, None)
             if self.shown == run_id:
                 self.shown = None
@@ -238,12 +249,12 @@ class Runs:
 
     # --- acting ---
 
-    def start(self, **wishes: typing.Any) -> str:
+    def start(self, wish: StartRun) -> str:
         """Create a run as `prepare_run` does, start its trainer or queue it, and show it; return its id.
 
         Raise ValueError if it is not allowed, or the cluster refuses it; then there is no such run.
         """
-        folder = prepare_run(self.folder, **wishes)
+        folder = prepare_run(self.folder, wish)
         if self._launcher:
             try:
                 self._launcher.submit(self.folder, [folder.id])
@@ -278,11 +289,14 @@ class Runs:
         if queued:
             until = history.iteration + further if further is not None else None
             self._slurm.resume(self.folder, run_id, until=until)
+        if history.paused_by_user:  # else its trainer would come back paused
+            history.folder.send(Resume())
         self.shown = run_id
 
-    def send(self, run_id: str, command: AnyCommand) -> int:
+    def send(self, run_id: str, command: AnyCommand, sender: str = "") -> int:
         """Put a command into the run's inbox and return its id; ValueError, the run unchanged, if it is no good.
 
+        `sender` says in words who sends it and by which way, for the log.
         Stop takes a run that waits out of Slurm's queue, which no trainer acknowledges: then the id is 0.
         """
         history = self.get(run_id)
@@ -297,7 +311,7 @@ class Runs:
                 raise ValueError(f"{run_id} waits in the queue: send commands once it has begun")
             self._slurm.cancel(self.folder, [run_id])
             return 0
-        return history.folder.send(command)
+        return history.folder.send(command, sender)
 
     def _launch(self, folder: RunFolder, further: int | None = None) -> None:
         self._inquest.begin(folder, lambda: self._spawn(folder, further=further))
@@ -386,6 +400,7 @@ class Runs:
             stage=at_work.stage if at_work else "",
             eta_seconds=at_work.eta_seconds if at_work else None,
             success=history.evaluations[-1].sampled_success if history.evaluations else None,
+            parent=record.parent,
         )
 
     def _ended_summary(self, folder: RunFolder) -> Summary | None:
@@ -421,6 +436,7 @@ class Runs:
             iteration=states[-1].iteration,
             iterations=max(beat.iterations if beat else 0, states[-1].iteration if budgeted else record.iterations),
             success=next((e.sampled_success for e in reversed(events) if isinstance(e, Evaluation)), None),
+            parent=record.parent,
         )
         self._ended[folder.id] = size, line
         return line

@@ -21,6 +21,8 @@ from studio.settings import Settings
 
 OPEN_PATHS = frozenset({"/healthz"})
 """Paths that need no token. Host and Origin are checked for them too."""
+PAGES = ("/", "/study")
+"""Pages for people: a browser that is not known yet is asked there for the token, and a link with one leads there."""
 
 PAGE_CSP = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -129,12 +131,12 @@ class Guard:
         if path in OPEN_PATHS:
             return None
         known = self.access.knows(headers)
-        if path == "/" and scope["method"] in ("GET", "HEAD"):
+        if path in PAGES and scope["method"] in ("GET", "HEAD"):
             ticket = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
             if ticket and (known or self.access.redeem(ticket)):
                 return self._enter(scope)
             if not known:
-                return _login_page(bool(ticket), headers.get("sec-fetch-site") == "cross-site")
+                return _login_page(path, bool(ticket), headers.get("sec-fetch-site") == "cross-site")
         if known:
             return None
         return JSONResponse(
@@ -144,7 +146,7 @@ class Guard:
         )
 
     def _enter(self, scope: Scope) -> Response:
-        response = RedirectResponse("/", 303)
+        response = RedirectResponse(scope["path"], 303)
         response.set_cookie(
             self.access.cookie_name,
             self.access.cookie,
@@ -219,20 +221,21 @@ def _same(given: str, secret: str) -> bool:
 
 
 _LOGIN_STYLE = (
-    "body{font:16px/1.5 system-ui,sans-serif;max-width:34rem;margin:18vh auto;padding:0 1.5rem;color-scheme:light dark}"
+    ":root{color-scheme:light dark}"
+    "body{font:16px/1.5 system-ui,sans-serif;max-width:34rem;margin:18vh auto;padding:0 1.5rem}"
     "h1{font-size:1.35rem;font-weight:650}"
     "input,button{font:inherit;padding:.5em .8em;border-radius:.5em;border:1px solid #8886}"
     "input{width:16rem;max-width:60%}code{font-size:.95em}"
 )
 
 
-def _login_page(tried: bool, from_elsewhere: bool) -> Response:
-    """Return the page for a browser without a cookie.
+def _login_page(path: str, tried: bool, from_elsewhere: bool) -> Response:
+    """Return the page for a browser without a cookie that asks for one of the pages.
 
     A link followed from another site arrives without its SameSite=Strict cookie, even right after it was set: one
     reload from this page itself brings it along.
     """
-    again = '<meta http-equiv="refresh" content="0;url=/">' if from_elsewhere else ""
+    again = f'<meta http-equiv="refresh" content="0;url={path}">' if from_elsewhere else ""
     reason = (
         "That token does not fit, or its link was used already (each link works once; the newest is in the terminal)."
         if tried
@@ -240,9 +243,10 @@ def _login_page(tried: bool, from_elsewhere: bool) -> Response:
     )
     digest = style_digest(_LOGIN_STYLE)
     return HTMLResponse(
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>MORPH Studio</title>{again}'
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>MORPH Studio</title>{again}'
         f"<style>{_LOGIN_STYLE}</style></head><body><h1>MORPH Studio</h1><p>{html.escape(reason)} Open the link that "
-        '<code>morph-studio serve</code> printed, or paste its token:</p><form method="get" action="/">'
+        '<code>morph-studio serve</code> printed, or paste its token:</p><form method="get">'
         '<input name="token" type="password" autocomplete="off" aria-label="Token" autofocus required> '
         "<button>Enter</button></form></body></html>",
         401,

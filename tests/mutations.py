@@ -157,9 +157,30 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/episodes.py", "core/test_episodes.py",
         ("task.solved(reached & rollout.alive)", "task.solved(reached)"),
-        (".sum() / episodes)", ".mean())"),
+        (".sum() / rollout.episodes)", ".mean())"),
         ("rng if sampled else None", "rng"),
         ("rollout.s[steps, episode] if steps < len(rollout.s) else rollout.last_s[episode]", "rollout.last_s[episode]"),
+    ),
+    # --- what if ---
+    *_of(
+        f"{CORE}/what_if.py", "studio/test_what_if.py::test_the_interval_of_a_success_is_that_of_scipy",
+        ("share * (1 - share) + z2 / (4 * episodes)", "share * (1 - share)"),
+        ("(successes + z2 / 2)", "(successes + z2)"),
+        ("(1 + CONFIDENCE) / 2", "CONFIDENCE"),
+    ),
+    *_of(
+        f"{CORE}/what_if.py",
+        "studio/test_what_if.py::test_the_interval_of_a_mean_is_as_wide_as_its_standard_error_says",
+        ("(len(values) - 1)", "len(values)"),
+    ),
+    *_of(
+        f"{CORE}/evaluate.py", "core/test_evaluate.py",
+        ("(term * rollout.alive).sum(0)", "term.sum(0)"),
+        (".whole.check(other_phi)", ".check(other_phi) * 0"),
+    ),
+    *_of(
+        f"{CORE}/design.py", "core/test_design.py",
+        ("hi=p.hard_hi, locked_at=None", "hi=p.hard_hi"),
     ),
     # --- the reacher's contact ---
     *_of(
@@ -522,7 +543,13 @@ MUTANTS: tuple[Mutant, ...] = (
         ("self.relabelled_steps += self.hw_nn.fit", "self.relabelled_steps = self.hw_nn.fit"),
     ),
     *_of(
+        f"{CORE}/explorations/gaussian.py", "core/test_checkpoint_fields.py",
+        ('{} if self.directions is None else {"directions": self.directions}', "{}"),
+        ('self.directions = arrays.get("directions")', "pass"),
+    ),
+    *_of(
         f"{CORE}/checkpoint.py", "core/test_checkpoint_fields.py",
+        ('NOTES = "exploration/"', 'NOTES = "notes/"'),
         ('state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]',
          'state.control_start = facts["control_start"]'),
         ('state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]',
@@ -569,6 +596,12 @@ MUTANTS: tuple[Mutant, ...] = (
         ("if state.iteration in self._measured:", "if False:"),
         ("iteration for iteration in self._measured if iteration <= state.iteration", "state.iteration"),
         ("[self._record.seed, state.iteration, episodes]", "[time.time_ns()]"),
+    ),
+    *_of(
+        f"{CORE}/history.py", "core/test_train.py::test_a_pause_holds_until_the_run_is_resumed_or_stopped",
+        ("_HOLDS | Resume | Stop)]", "_HOLDS | Resume)]"),
+        ("_HOLDS | Resume | Stop)]", "_HOLDS | Stop)]"),
+        ("isinstance(said[-1], _HOLDS)", "isinstance(said[-1], Pause)"),
     ),
     *_of(
         f"{CORE}/train.py", "core/test_cmaes_rl.py::test_a_run_ends_with_the_best_candidate_and_its_policy",
@@ -672,9 +705,7 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         "studio/study/report/results.py", "studio/test_study_results.py",
         ("_moved(history), strict=True) if moved]", "_moved(history), strict=True)]"),
-        ("getattr(e, name) >= level", "getattr(e, name) > level"),
         ("_mean(loss[-ENDS:])", "_mean(loss[-1:])"),
-        ("key=lambda e: (e.final, e.iteration)", "key=lambda e: e.iteration"),
         ('self.status in ("finished", "failed")', 'self.status == "finished"'),
     ),
     *_of(
@@ -685,6 +716,21 @@ MUTANTS: tuple[Mutant, ...] = (
         ("better.low > 0.5", "better.value > 0.5"),
         ("last <= FALLS_TO * first", "last <= first"),
         ("row.final < row.initial for row in lengths[2:4]", "row.final < row.initial for row in lengths[2:3]"),
+    ),
+    *_of(
+        f"{CORE}/history.py", "studio/test_study_results.py",
+        ('_success") >= level', '_success") > level'),
+        ("key=lambda e: (e.final, e.iteration)", "key=lambda e: e.iteration"),
+    ),
+    *_of(
+        "studio/study/standing.py", "studio/test_study.py::test_neither_a_pause_nor_the_time_without_a_trainer_is_work",
+        ('event.time if event.status == "running" else None', "event.time"),
+        ("since, at = event.time, reached", "at = reached"),
+    ),
+    *_of(
+        "studio/study/standing.py", "studio/test_study.py::test_what_a_resume_does_again_counts_as_work_both_times",
+        ("reached.get(event.iteration, at)", "at"),
+        ("reached = {0: 0}", "reached: dict[int, int] = {}"),
     ),
     *_of(
         "studio/study/live.py", "studio/test_study_live.py",

@@ -1,12 +1,13 @@
 """Exploration `gaussian`: the paper's letter, trajectories in the proxy's world with noise on its z."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
 from morph_core.config import CountOrNone, Positive
-from morph_core.exploration import Exploration, Metric, Pull, Relabelled, run_trajectories
+from morph_core.exploration import Exploration, Metric, Notes, Pull, Relabelled, run_trajectories
 from morph_core.rollout import Rollout
 from morph_core.spread import ExploredDesigns, Spread
 from morph_core.task import Hardware, Task
@@ -26,6 +27,32 @@ START_PAIRS = 512
 """Pairs for that fit before the first rollout, spread over the workspace."""
 RIDGE = 1e-4
 """Ridge of that fit, as a share of the features' mean square."""
+
+
+@dataclass
+class HeldNoise(Notes):
+    """The noise that each episode keeps, and the directions along which it is drawn."""
+
+    directions: np.ndarray | None = None  # (d, z_size, k)
+    """What a change of each design parameter by 1 asks of the last layer of the proxy; None before the first
+    rollout."""
+    noise: np.ndarray | None = None  # (N, z_size, k)
+    """What noise adds to the last layer in each episode of this iteration, drawn anew in the next; None where phi is
+    frozen."""
+
+    @property
+    def arrays(self) -> Mapping[str, np.ndarray]:
+        return {} if self.directions is None else {"directions": self.directions}
+
+    def recall(self, arrays: Mapping[str, np.ndarray]) -> None:
+        self.directions = arrays.get("directions")
+
+    @staticmethod
+    def of(state: "State") -> "HeldNoise":
+        """Return those of a run; ValueError for one that was not begun with them."""
+        if not isinstance(state.notes, HeldNoise):
+            raise ValueError("the exploration gaussian needs the notes that it made before the first iteration")
+        return state.notes
 
 
 @dataclass(frozen=True)
@@ -64,24 +91,28 @@ class Gaussian(ExploredDesigns, Exploration):
                 'choose from: "design"'
             )
 
+    def notes(self) -> HeldNoise:
+        return HeldNoise()
+
     def sigma_shown(self, spread: Spread) -> None:
         """Return None: no design is built and tried."""
 
     def world(self, task: Task, state: "State", spread: Spread, trajectories: int) -> Hardware:
-        state.noise = None if state.frozen else self._noise(task, state, spread, trajectories)
+        notes = HeldNoise.of(state)
+        notes.noise = None if state.frozen else self._noise(task, state, spread, trajectories)
         if state.frozen and self.finish == "hw_phy":
             return task.hw_phy(state.phi)
         shape = (trajectories, *state.hw_nn.last_weights.shape)
-        world = EpisodicProxy(state.hw_nn, np.zeros(shape, np.float32) if state.noise is None else state.noise)
+        world = EpisodicProxy(state.hw_nn, np.zeros(shape, np.float32) if notes.noise is None else notes.noise)
         return world if self.contact == "swept" else world.__call__  # of a function no task can sweep the outline
 
     def _noise(self, task: Task, state: "State", spread: Spread, trajectories: int) -> np.ndarray:
         """Return what is added to the last layer in each episode (N, z_size, k): sigma xi_k dW_k, antithetic pairs."""
-        if state.directions is None:
-            state.directions = directions(task, state, spread, *task.sample_pairs(START_PAIRS, state.rng))
-        space = state.design_space
+        space, notes = state.design_space, HeldNoise.of(state)
+        if notes.directions is None:
+            notes.directions = directions(task, state, spread, *task.sample_pairs(START_PAIRS, state.rng))
         half = spread.sigma * space.scale * spread.noise(space, trajectories // 2, state.rng)
-        offset = np.einsum("nd,dzk->nzk", half, state.directions)
+        offset = np.einsum("nd,dzk->nzk", half, notes.directions)
         return np.concatenate([offset, -offset]).astype(np.float32)
 
     def prepare(self, task: Task, state: "State", spread: Spread, rollout: Rollout) -> None:
@@ -90,7 +121,7 @@ class Gaussian(ExploredDesigns, Exploration):
             t, n = rollout.alive.nonzero()
             chosen = state.rng.integers(len(t), size=FITTED_PAIRS)
             at = t[chosen], n[chosen]
-            state.directions = directions(task, state, spread, rollout.s[at], rollout.a[at])
+            HeldNoise.of(state).directions = directions(task, state, spread, rollout.s[at], rollout.a[at])
 
     def success(self, task: Task, state: "State", rollout: Rollout, level: float) -> float:
         """Return the success on Hw-Phy, which is tried once the proxy's world has reached the level."""
@@ -110,9 +141,9 @@ class Gaussian(ExploredDesigns, Exploration):
             sound = np.isfinite(z_phi).all(1)
             row = np.arange(sound.sum())
             further = Relabelled(row, row, s[sound], a[sound], z_phi[sound], z_phi[sound], len(s)) if len(row) else None
-        if self.divergence == "plain" or state.noise is None:
+        hw_nn, noise = state.hw_nn, HeldNoise.of(state).noise
+        if self.divergence == "plain" or noise is None:
             return Metric(None, further)
-        hw_nn, noise = state.hw_nn, state.noise
         weight = precision(hw_nn, noise, pairs)
         return Metric(weight, further, None if further is None else precision(hw_nn, noise, further))
 
@@ -126,14 +157,15 @@ class Gaussian(ExploredDesigns, Exploration):
 
         from morph_core.networks import log_normal
 
-        if state.noise is None:
+        noise = HeldNoise.of(state).noise
+        if noise is None:
             return lambda m, _: np.zeros_like(m)
         by_episode = self.credit == "episode"
         credit = self.advantage(rollout.returns)[pairs.episode] if by_episode else advantage[pairs.row]
         weight = torch.from_numpy(credit.astype(np.float32))
         z = torch.from_numpy(pairs.z.astype(np.float32))
         m_before = torch.from_numpy(state.hw_nn(pairs.s, pairs.a).astype(np.float32))
-        sigma = torch.from_numpy(noise_std(state.hw_nn, state.noise, pairs.s, pairs.a))
+        sigma = torch.from_numpy(noise_std(state.hw_nn, noise, pairs.s, pairs.a))
         log_before = log_normal(z, m_before, sigma)
 
         def pull(m: np.ndarray, index: np.ndarray) -> np.ndarray:

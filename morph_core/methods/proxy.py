@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from morph_core.config import Count, NotNegative, Projection, Share
-from morph_core.exploration import Exploration
+from morph_core.exploration import Exploration, Notes
 from morph_core.explorations.design import Design
 from morph_core.method import Method
 from morph_core.morph import morph
@@ -36,12 +36,12 @@ class Morph(Method):
     proxy: ProxyFit = ProxyFit()
     """Fit of the proxy to Hw-Phy."""
     exploration: Exploration = Design()
-    """Exploration of z: `design` draws designs around phi on Hw-Phy, `gaussian` runs in the proxy's world with
-    noise on its z, as the paper does."""
+    """Exploration of z, the hardware's output: `design` draws designs around phi on Hw-Phy, `gaussian` runs in the
+    proxy's world with noise on its z, as the paper does, and `gaussian_iid` draws that noise afresh at every step."""
     search: Search = Cma()
-    """Search for phi (Eq. 3): `cma` is CMA-ES on the divergence, `gradient` its gradient where Hw-Phy is
-    differentiable, `drift` least squares on what the task asks of the proxy, where contact makes the divergence
-    rough."""
+    """Search for phi whose physics match the proxy (Eq. 3): `cma` is CMA-ES on the divergence, `cma_debiased` the same
+    without what contact adds to it, `gradient` its gradient where Hw-Phy is differentiable, `drift` least squares on
+    what the task asks of the proxy, where contact makes the divergence rough."""
 
     name: ClassVar[str] = "morph"
     title: ClassVar[str] = "policy and hardware proxy learn together, φ follows the proxy"
@@ -56,6 +56,9 @@ class Morph(Method):
 
     def memory(self, proxy: "HwNN | None") -> Memory:
         return self.search.memory(proxy) if proxy else Memory()
+
+    def notes(self) -> Notes:
+        return self.exploration.notes()
 
     def check(self, task: Task) -> None:
         self.exploration.check(task)

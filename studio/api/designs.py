@@ -6,7 +6,6 @@ from typing import Annotated
 import anyio.to_thread
 from fastapi import APIRouter, Query, Request, Response
 
-from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import InjectDesign
 from morph_core.run_folder import RunFolderError
@@ -22,14 +21,17 @@ from studio.api.messages import (
     gives,
     gives_file,
     reply,
+    sender_of,
 )
 from studio.api.runs import state_of
 from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design, starting_from
+from studio.new_run import StartRun
 from studio.runs import Runs
 
 MAX_EPISODE = 256 << 20
 Formats = Annotated[list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step; repeated or with commas")]
+OtherPhi = Annotated[list[float] | None, Query(description="All values of another design in its place; repeated")]
 _FILE = {"schema": {"type": "string", "format": "binary"}}
 _DESIGN_BODY = {
     "requestBody": {
@@ -37,14 +39,17 @@ _DESIGN_BODY = {
         "content": {"application/json": {"schema": {"type": "object"}}, "application/zip": _FILE},
     }
 }
-Export = Callable[[History, str, list[str] | None], Bundle]
-"""Function that builds an export of a run: export(history, which design, formats or None for all)."""
+Export = Callable[[History, str, list[str] | None, list[float] | None], Bundle]
+"""Function that builds an export of a run: export(history, which design, formats or None for all, another phi)."""
 
 
 def designs_of(history: History) -> Designs:
     """Return the evolution of phi in a run."""
     parameters = history.record.parameters
-    path = [Design(0, history.initial_phi.tolist()), *(Design(p.iteration, p.phi) for p in history.progress)]
+    path = [
+        Design(history.begins_at, history.initial_phi.tolist()),
+        *(Design(p.iteration, p.phi) for p in history.progress),
+    ]
     best, latest = history.design("best")[0], history.design("latest")[0]
     return Designs([p.name for p in parameters], [p.unit for p in parameters], best, latest, path)
 
@@ -67,10 +72,10 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
     """Return the routes about what a run has produced."""
     router = APIRouter(prefix="/api/runs/{run_id}", tags=["designs"])
 
-    def exported(run_id: str, which: str, formats: list[str] | None) -> Bundle:
+    def exported(run_id: str, which: str, formats: list[str] | None, phi: list[float] | None) -> Bundle:
         history = runs.get(run_id)
         history.design(which)  # an unknown one is a 404, not a failed export
-        return export(history, which, [name for part in formats for name in part.split(",")] if formats else None)
+        return export(history, which, [name for part in formats for name in part.split(",")] if formats else None, phi)
 
     @router.get("/metrics", responses=gives(Metrics), summary="Traces: one entry per iteration and per evaluation")
     def metrics(run_id: str) -> Response:
@@ -102,8 +107,8 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives_file("application/zip", "One design for simulators, printers and people"),
         summary="Download a design: best, latest or an iteration",
     )
-    def export_design(run_id: str, which: str, formats: Formats = None) -> Response:
-        bundle = exported(run_id, which, formats)
+    def export_design(run_id: str, which: str, formats: Formats = None, phi: OtherPhi = None) -> Response:
+        bundle = exported(run_id, which, formats, phi)
         return _download(bundle.name, bundle.content, "application/zip")
 
     @router.get(
@@ -111,8 +116,8 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives(Checked),
         summary="What an export would hold, and what was compared; it is refused if anything disagrees",
     )
-    def check_design(run_id: str, which: str, formats: Formats = None) -> Response:
-        bundle = exported(run_id, which, formats)
+    def check_design(run_id: str, which: str, formats: Formats = None, phi: OtherPhi = None) -> Response:
+        bundle = exported(run_id, which, formats, phi)
         files = [ExportedFile(path, len(content)) for path, content in sorted(bundle.files.items())]
         checks = [Comparison(c.name, c.passed, c.worst, c.allowed, c.detail) for c in bundle.checks]
         return reply(Checked(bundle.name, len(bundle.content), files, checks))
@@ -130,7 +135,7 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         def send() -> int:
             history = runs.get(run_id)
             phi = phi_for(read_design(content), history.record.task, history.design_space)
-            return runs.send(run_id, InjectDesign(phi.tolist()))
+            return runs.send(run_id, InjectDesign(phi.tolist()), sender_of(request))
 
         return reply(Accepted(await anyio.to_thread.run_sync(send)), 202)
 
@@ -152,16 +157,8 @@ def imports_router(runs: Runs) -> APIRouter:
         content = await request.body()
 
         def begin() -> RunState:
-            design = read_design(content)
-            try:
-                space = make_task(design.task, design.task_options).design_space
-            except TypeError as error:
-                raise ValueError(f"an option of {design.task[:40]} has the wrong type: {error}") from error
-            run_id = runs.start(
-                task=design.task, task_options=design.task_options, method=method, seed=seed, iterations=iterations,
-                parameters=starting_from(design, space),
-            )  # fmt: skip
-            return state_of(runs, run_id)
+            wish = StartRun(method=method, seed=seed, iterations=iterations)
+            return state_of(runs, runs.start(starting_from(read_design(content), wish)))
 
         return reply(await anyio.to_thread.run_sync(begin), 201)
 

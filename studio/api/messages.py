@@ -2,41 +2,24 @@
 
 from collections.abc import Callable, Coroutine
 from types import UnionType
-from typing import Annotated, TypeVar, cast
+from typing import TypeVar, cast
 
 import msgspec
 from fastapi import Request, Response
 
-from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Parent, Progress
+from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Progress
 from studio.fields import Field
-from studio.limits import LARGEST_SEED, MAX_ITERATIONS
+from studio.log import LogEntry
+from studio.new_run import Number, StartRun
 from studio.runs import Row, Summary
 from studio.shelf.marks import Marks, MarksChange
 from studio.shelf.traces import Overlay
 from studio.shelf.trash import Trashed
+from studio.what_if import SweepPoint, WhatIf, Wish
 
 MAX_BODY = 1 << 20
 """Largest body of a request, in bytes."""
-Number = Annotated[int, msgspec.Meta(ge=1, le=MAX_ITERATIONS)]
 Body = TypeVar("Body")
-
-
-class StartRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Wish for a new run. `settings` are those of the method under dotted names, such as `search.ridge`, or nested;
-    `task_options` are fields of the task; unset ones are defaults."""
-
-    task: str
-    preset: str | None = None
-    """Word for a whole set of settings of a method; `settings` are laid over it. GET /api/tasks lists them."""
-    method: str | None = None
-    """Method of the run; without it, the one of the preset, or morph."""
-    seed: Annotated[int, msgspec.Meta(ge=0, le=LARGEST_SEED)] = 0
-    iterations: Number = 100
-    settings: dict[str, object] = {}
-    task_options: dict[str, object] = {}
-    parameters: list[Parameter] | None = None
-    """Bounds, locks and initial values to start with; unnamed parameters keep the task's."""
-    parent: Parent | None = None
 
 
 class ResumeRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -109,7 +92,10 @@ class RunState(Summary, frozen=True, kw_only=True):
     versions: dict[str, str] | None = None
     git_revision: str | None = None
     git_dirty: bool | None = None
-    parent: Parent | None = None
+    begins_at: int = 0
+    """Iteration from which the run counts on; 0 but for a branch that goes on where its parent was."""
+    children: tuple[str, ...] = ()
+    """Names of the runs that were branched from this one, oldest first."""
     best: Evaluation | None = None
     last_seq: int = 0
     acknowledged: tuple[Acknowledged, ...] = ()
@@ -131,7 +117,8 @@ class Design(msgspec.Struct, frozen=True):
 
 
 class Designs(msgspec.Struct, frozen=True):
-    """The evolution of phi; iteration 0 is the initial design."""
+    """The evolution of phi; it begins with the initial design, whose iteration is 0 or that from which a branch counts
+    on."""
 
     names: list[str]
     units: list[str]
@@ -201,14 +188,19 @@ def body_of(kind: type[Body] | UnionType) -> Callable[[Request], Coroutine[None,
     return decode
 
 
+def sender_of(request: Request) -> str:
+    """Return words on who sent a request, for the log of a run."""
+    return f"API, {request.client.host}" if request.client else "API"
+
+
 def reply(message: object, status: int = 200) -> Response:
     """Return the message as JSON."""
     return Response(msgspec.json.encode(message), status, media_type="application/json")
 
 
 _KINDS = (
-    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, Metrics, Designs, Checked, Health, Refusal, AnyCommand,
-    AnyEvent, Row, Marks, MarksChange, Trashed, Purged, Overlay,
+    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Metrics, Designs, Checked, Health, Refusal,
+    AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 
@@ -254,6 +246,6 @@ REFUSALS: dict[int | str, dict[str, object]] = {
         404: "No such run, design or file",
         413: "A body that is too long",
         422: "A value that is not allowed",
-        503: "The disk refuses",
+        503: "The disk refuses, or the process that evaluates designs has died",
     }.items()
 }

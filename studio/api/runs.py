@@ -3,11 +3,14 @@
 from typing import Annotated
 
 import msgspec
-from fastapi import APIRouter, Depends, Query, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from morph_core.protocol import AnyCommand
 from morph_core.run_folder import RunFolderError
-from studio.api.messages import Accepted, ResumeRun, RunState, StartRun, body_of, gives, reply, takes
+from studio.api.messages import Accepted, ResumeRun, RunState, body_of, gives, reply, sender_of, takes
+from studio.branches import children_of
+from studio.log import LogEntry, log_of
+from studio.new_run import StartRun
 from studio.runs import Runs, Summary
 
 _ANSWERS_SHOWN = 20
@@ -30,7 +33,8 @@ def state_of(runs: Runs, run_id: str) -> RunState:
         versions=record.versions,
         git_revision=record.git_revision,
         git_dirty=record.git_dirty,
-        parent=record.parent,
+        begins_at=record.begins_at,
+        children=tuple(children_of(run_id, runs.parents())),
         best=history.best,
         last_seq=history.events[-1].seq if history.events else 0,
         acknowledged=tuple(history.acknowledged[-_ANSWERS_SHOWN:]),
@@ -46,11 +50,14 @@ def runs_router(runs: Runs) -> APIRouter:
         return reply(runs.summaries())
 
     @router.post(
-        "", status_code=201, openapi_extra=takes(StartRun), responses=gives(RunState, 201), summary="Start a run"
+        "",
+        status_code=201,
+        openapi_extra=takes(StartRun),
+        responses=gives(RunState, 201),
+        summary="Start a run, or branch one from another",
     )
     def start(wish: Annotated[StartRun, Depends(body_of(StartRun))]) -> Response:
-        run_id = runs.start(**msgspec.structs.asdict(wish))
-        return reply(state_of(runs, run_id), 201)
+        return reply(state_of(runs, runs.start(wish)), 201)
 
     @router.get("/{run_id}", responses=gives(RunState), summary="One run in full")
     def state(run_id: str) -> Response:
@@ -63,8 +70,12 @@ def runs_router(runs: Runs) -> APIRouter:
         responses=gives(Accepted, 202),
         summary="Send a command to a running run; the trainer acknowledges it as an event",
     )
-    def send(run_id: str, command: Annotated[AnyCommand, Depends(body_of(AnyCommand))]) -> Response:
-        return reply(Accepted(runs.send(run_id, command)), 202)
+    def send(run_id: str, request: Request, command: Annotated[AnyCommand, Depends(body_of(AnyCommand))]) -> Response:
+        return reply(Accepted(runs.send(run_id, command, sender_of(request))), 202)
+
+    @router.get("/{run_id}/log", responses=gives(list[LogEntry]), summary="What was done to a run, oldest first")
+    def log(run_id: str) -> Response:
+        return reply(log_of(runs.get(run_id)))
 
     @router.post(
         "/{run_id}/resume",

@@ -1,4 +1,4 @@
-"""The command line `morph-studio`: serve, train, study, runs, evaluate, export, verify, import."""
+"""The command line `morph-studio`: serve, train, study, runs, log, replay, evaluate, export, verify, import."""
 
 import importlib
 import os
@@ -11,7 +11,9 @@ COMMANDS = {
     "serve": "open the studio in the browser",
     "train": "co-optimise body and controller without a browser, or go on with a run",
     "study": "compare methods over tasks and seeds at equal environment steps",
-    "runs": "list the runs of a folder",
+    "runs": "list the runs of a folder, or show as a tree which branched from which",
+    "log": "print what was done to a run",
+    "replay": "do a run again from its seed and its log, and compare",
     "evaluate": "measure success and return of a design on Hw-Phy",
     "export": "write a design for simulators, printers and people",
     "verify": "check that what an export holds is one robot, and that its policy works",

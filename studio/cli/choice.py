@@ -20,6 +20,16 @@ def open_run(runs: Path, run: str) -> History:
         raise UsageError(f"{run} can't be read: {error}") from error
 
 
+def place_of(runs: Path, word: str, option: str) -> tuple[History, int | None]:
+    """Return the run of RUN or RUN@ITERATION, and the iteration, None where there is none. UsageError says what is."""
+    run, at, iteration = word.rpartition("@")
+    if not at or "/" in iteration:
+        return open_run(runs, word), None
+    if not iteration.isdecimal():
+        raise UsageError(f'{option} takes RUN or RUN@ITERATION, with a whole number, not "{word[:80]}"')
+    return open_run(runs, run), int(iteration)
+
+
 def check_design(history: History, which: str) -> None:
     """Raise UsageError that says what is allowed unless `which` is a design of the run."""
     try:

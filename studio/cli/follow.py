@@ -10,14 +10,15 @@ from dataclasses import dataclass
 from types import FrameType
 
 from rich.console import Console, Group
-from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.text import Text
 
 from morph_core.history import History
 from morph_core.protocol import Status, Stop
 from morph_core.run_folder import RunFolder
+from studio.cli.terminal import Cadence, Screen, in_words
 from studio.inquest import Child, start_child
+from studio.log import sender_here
 
 POLL_SECONDS = 0.2
 LINE_SECONDS = 5.0
@@ -38,18 +39,20 @@ def follow(folder: RunFolder, spawn: Callable[[], subprocess.Popen[bytes]], *, q
     console = Console(stderr=True, soft_wrap=True)
     with interrupts() as presses:
         child = start_child(folder, spawn)
-        show = Bar if console.is_terminal else Lines
-        with show(console, quiet) as view:
-            view.say(f"{folder.id}: started; morph-studio serve --runs {shlex.quote(str(folder.path.parent))} shows it")
-            _wait(child, presses, view)
+        with Screen(console, quiet) as screen:
+            screen.say(
+                f"{folder.id}: started; morph-studio serve --runs {shlex.quote(str(folder.path.parent))} shows it"
+            )
+            _wait(child, presses, screen)
         outcome = _outcome(child, interrupted=bool(presses))
         if not quiet or outcome.code == 1:
             _conclude(console, folder, outcome)
         return outcome
 
 
-def _wait(child: Child, presses: list[int], view: "Bar | Lines") -> None:
+def _wait(child: Child, presses: list[int], screen: Screen) -> None:
     history = History(child.folder)
+    view = (Bar if screen.console.is_terminal else Lines)(screen)
     heard = 0
     while child.process.poll() is None:
         time.sleep(POLL_SECONDS)
@@ -57,8 +60,8 @@ def _wait(child: Child, presses: list[int], view: "Bar | Lines") -> None:
         view.show(history)
         if presses and heard == 0:
             heard = 1
-            child.folder.send(Stop())
-            view.say("stopping after this iteration; Ctrl-C again ends it at once")
+            child.folder.send(Stop(), sender_here("Ctrl-C"))
+            screen.say("stopping after this iteration; Ctrl-C again ends it at once")
         elif len(presses) > 1 and heard == 1:
             heard = 2
             child.process.kill()  # a checkpoint is whole or not there: nothing before it is lost
@@ -104,31 +107,18 @@ def _conclude(console: Console, folder: RunFolder, outcome: Outcome) -> None:
 class Bar:
     """A progress bar that stays on the last lines of the terminal, success, return and phi under it."""
 
-    def __init__(self, console: Console, quiet: bool) -> None:
-        self._quiet = quiet
+    def __init__(self, screen: Screen) -> None:
+        self._screen = screen
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=None),
             MofNCompleteColumn(),
             TextColumn("{task.fields[eta]}"),
-            console=console,
+            console=screen.console,
             expand=True,
         )
         self._task = self._progress.add_task("starting", total=None, eta="")
-        self._words = Text(no_wrap=True, overflow="ellipsis")
-        self._live = Live(Group(self._progress, self._words), console=console, transient=True)
-
-    def __enter__(self) -> "Bar":
-        self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._live.stop()
-
-    def say(self, sentence: str) -> None:
-        """Print a sentence, unless the command is to be quiet."""
-        if not self._quiet:
-            self._live.console.print(Text(sentence))
+        screen.draw(self._progress)
 
     def show(self, history: History, last: bool = False) -> None:
         """Show how far the run is; `last` prints the final line too."""
@@ -140,37 +130,23 @@ class Bar:
             total=_planned(history),
             eta=_eta(history),
         )
-        self._words.plain = _in_short(history)
+        words = _in_short(history)
+        self._screen.draw(Group(self._progress, Text(words, no_wrap=True, overflow="ellipsis")))
         if last:
-            self.say(f"iteration {history.iteration}/{_planned(history)}  {_in_short(history)}")
+            self._screen.say(f"iteration {history.iteration}/{_planned(history)}  {words}")
 
 
 class Lines:
     """A line now and then, for a log file."""
 
-    def __init__(self, console: Console, quiet: bool) -> None:
-        self._console, self._quiet = console, quiet
-        self._next = time.monotonic()
-        self._shown = 0
-
-    def __enter__(self) -> "Lines":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def say(self, sentence: str) -> None:
-        """Print a sentence, unless the command is to be quiet."""
-        if not self._quiet:
-            self._console.print(Text(sentence))
+    def __init__(self, screen: Screen) -> None:
+        self._screen, self._cadence = screen, Cadence(LINE_SECONDS)
 
     def show(self, history: History, last: bool = False) -> None:
         """Print a line if it is time for one, and anyway if it is the `last` one."""
-        if history.iteration == self._shown or (time.monotonic() < self._next and not last):
-            return
-        self._shown, self._next = history.iteration, time.monotonic() + LINE_SECONDS
-        words = f"iteration {history.iteration}/{_planned(history)}  {_in_short(history)}  {_eta(history)}"
-        self.say(words.rstrip())
+        if history.iteration and self._cadence.is_due(history.iteration, last):
+            words = f"iteration {history.iteration}/{_planned(history)}  {_in_short(history)}  {_eta(history)}"
+            self._screen.say(words.rstrip())
 
 
 def _planned(history: History) -> int:
@@ -195,5 +171,4 @@ def _eta(history: History) -> str:
     eta = history.heartbeat.eta_seconds if history.heartbeat else None
     if eta is None or history.iteration >= _planned(history):
         return ""
-    minutes, seconds = divmod(round(eta), 60)
-    return f"ETA {minutes}:{seconds:02d}"
+    return in_words(eta)

@@ -58,11 +58,12 @@ def main(words: Sequence[str]) -> int:
 
 
 def _send(history, phi: list[float]) -> int:
+    from studio.log import sender_here
     from studio.runs import Runs
 
     folder = history.folder
     try:
-        number = Runs(folder.path.parent).send(folder.id, InjectDesign(phi))
+        number = Runs(folder.path.parent).send(folder.id, InjectDesign(phi), sender_here("command line"))
     except ValueError as error:
         raise UsageError(f"import: {error}") from error
     print(f"sent to {folder.id} as command {number}")  # noqa: T201
@@ -70,18 +71,14 @@ def _send(history, phi: list[float]) -> int:
 
 
 def _start(arguments: ImportArguments, design) -> int:
-    from morph_core.catalogue import make_task
     from studio.cli.follow import follow
     from studio.export.design_file import starting_from
-    from studio.new_run import prepare_run
+    from studio.new_run import StartRun, prepare_run
     from studio.trainers import spawn_trainer
 
+    wish = StartRun(method=arguments.method, seed=arguments.seed, iterations=arguments.iterations)
     try:
-        space = make_task(design.task, design.task_options).design_space
-        folder = prepare_run(
-            arguments.runs, task=design.task, task_options=design.task_options, method=arguments.method,
-            seed=arguments.seed, iterations=arguments.iterations, parameters=starting_from(design, space),
-        )  # fmt: skip
+        folder = prepare_run(arguments.runs, starting_from(design, wish))
     except (ValueError, TypeError, OSError) as error:
         raise UsageError(f"import: {error}") from error
     print(folder.id, file=sys.stderr)  # noqa: T201

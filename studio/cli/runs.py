@@ -5,12 +5,14 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
 from morph_core import run_folder
+from morph_core.protocol import Parent
 from morph_core.run_folder import RunFolderError
+from studio.branches import Member, place_in_words, trees
 from studio.cli.arguments import RunsArguments, parse
 from studio.runs import Runs
 from studio.shelf.marks import Marks
@@ -20,6 +22,8 @@ from studio.shelf.marks import Marks
 class ListArguments(RunsArguments):
     """List the runs of a folder, the newest first; a folder that can't be read is listed with the reason."""
 
+    tree: bool = False
+    """Show the runs as a tree, each under the run that it was branched from."""
     archived: Literal["hide", "show", "only"] = "hide"
     """Whether to leave archived runs out, to list them too, or alone."""
     starred: bool = False
@@ -42,6 +46,8 @@ def main(words: Sequence[str]) -> int:
     if arguments.json:
         json.dump(lines, sys.stdout, indent=2)
         sys.stdout.write("\n")
+    elif arguments.tree and lines:
+        _print_tree(lines)
     else:
         _print_table(arguments, lines)
     return 0
@@ -67,6 +73,36 @@ def list_runs(folder: Path, takes: Callable[[Marks], bool]) -> list[dict[str, ob
         }  # fmt: skip
         lines.append(line)
     return lines
+
+
+def _print_tree(lines: list[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.text import Text
+    from rich.tree import Tree
+
+    console = Console()
+    if not console.is_terminal:
+        console.width = 200  # a pipe has no width: names stay whole
+    by_name = {line["id"]: line for line in lines}
+
+    def label(member: Member) -> Text:
+        line = by_name.get(member.run)
+        said = [place_in_words(member)]
+        if line and line["status"] != "unreadable":
+            said += [str(line["status"]), f"iteration {line['iteration']}"]
+            said += [f"success {line['success']:.2f}"] if line["success"] is not None else []
+        elif line:
+            said.append("unreadable")
+        return Text.assemble((member.run, "bold"), "  ", (", ".join(part for part in said if part), "dim"))
+
+    def grow(branch: Tree, member: Member) -> None:
+        for child in member.children:
+            grow(branch.add(label(child)), child)
+
+    for root in trees({line["id"]: line["parent"] and Parent(**line["parent"]) for line in lines}):
+        stem = Tree(label(root), guide_style="dim")
+        grow(stem, root)
+        console.print(stem)
 
 
 def _why_none(arguments: ListArguments) -> str:

@@ -14,7 +14,6 @@ from typing import Annotated
 import msgspec
 import tyro
 from rich.console import Console, Group
-from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
@@ -23,6 +22,7 @@ from morph_core.run_folder import STUDY
 from studio import limits
 from studio.cli.arguments import UsageError, parse
 from studio.cli.follow import interrupts
+from studio.cli.terminal import Cadence, Screen, in_words
 from studio.study.launcher import Launcher
 from studio.study.launchers import launcher_of_study, make_launcher
 from studio.study.plan import (
@@ -198,16 +198,17 @@ def _follow(directory: Path, study: Study, launcher: Launcher, *, quiet: bool) -
     reader, names = Standings(directory, study), [planned.run for planned in study.runs]
     standings: list[RunStanding] = []
     heard = 0
-    with interrupts() as presses, (_Bars if console.is_terminal else _Lines)(console, study, quiet) as view:
+    with interrupts() as presses, Screen(console, quiet) as screen:
+        view = (_Bars if console.is_terminal else _Lines)(screen, study)
         serve = f"morph-studio serve --runs {shlex.quote(str(directory))}"
-        view.say(f"{len(names)} runs in {directory}; watch them: {serve}")
+        screen.say(f"{len(names)} runs in {directory}; watch them: {serve}")
         while True:
             launcher.tend(directory)
             standings = reader.read(launcher.states(directory, names))
             view.show(standings, launcher.slots)
             if len(presses) > heard and heard < 2:
                 heard += 1
-                view.say(launcher.leave(directory, at_once=heard == 2))
+                screen.say(launcher.leave(directory, at_once=heard == 2))
             over = all(run.over for run in standings) or bool(presses)
             if over and not launcher.working(directory):
                 break
@@ -220,67 +221,40 @@ def _follow(directory: Path, study: Study, launcher: Launcher, *, quiet: bool) -
 
 
 class _Bars:
-    """A bar for the study on the last lines of the terminal, and one for each run that is running."""
+    """A bar for the study on the last lines of the terminal, and one line for each run that is running."""
 
-    def __init__(self, console: Console, study: Study, quiet: bool) -> None:
-        self._study, self._quiet = study, quiet
+    def __init__(self, screen: Screen, study: Study) -> None:
+        self._screen, self._study = screen, study
         self._whole = Progress(
             TextColumn("{task.description}"), BarColumn(bar_width=None), TextColumn("{task.fields[eta]}"),
-            console=console, expand=True,
+            console=screen.console, expand=True,
         )  # fmt: skip
         self._task = self._whole.add_task("starting", total=1.0, eta="")
-        self._live = Live(self._whole, console=console, transient=True)
-
-    def __enter__(self) -> "_Bars":
-        self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._live.stop()
-
-    def say(self, sentence: str) -> None:
-        """Print a sentence, unless the command is to be quiet."""
-        if not self._quiet:
-            self._live.console.print(Text(sentence))
 
     def show(self, standings: Sequence[RunStanding], slots: int, last: bool = False) -> None:
-        """Show how far the study is."""
+        """Show how far the study is; `last` prints it too."""
         self._whole.update(
             self._task,
             description=_counts(standings),
             completed=share_done(self._study, standings),
             eta=_eta(self._study, standings, slots),
         )
-        self._live.update(Group(self._whole, _running_table(self._study, standings)), refresh=True)
+        self._screen.draw(Group(self._whole, _running_table(self._study, standings)))
         if last:
-            self.say(_counts(standings))
+            self._screen.say(_counts(standings))
 
 
 class _Lines:
     """A line now and then, for a log file."""
 
-    def __init__(self, console: Console, study: Study, quiet: bool) -> None:
-        self._console, self._study, self._quiet = console, study, quiet
-        self._next, self._shown = time.monotonic(), ""
-
-    def __enter__(self) -> "_Lines":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def say(self, sentence: str) -> None:
-        """Print a sentence, unless the command is to be quiet."""
-        if not self._quiet:
-            self._console.print(Text(sentence))
+    def __init__(self, screen: Screen, study: Study) -> None:
+        self._screen, self._study, self._cadence = screen, study, Cadence(LINE_SECONDS)
 
     def show(self, standings: Sequence[RunStanding], slots: int, last: bool = False) -> None:
         """Print a line if it is time for one and there is news, and anyway if it is the `last` one."""
         words = f"{_counts(standings)}  {100 * share_done(self._study, standings):.0f} % of all steps"
-        if words == self._shown or (time.monotonic() < self._next and not last):
-            return
-        self._shown, self._next = words, time.monotonic() + LINE_SECONDS
-        self.say(f"{words}  {_eta(self._study, standings, slots)}".rstrip())
+        if self._cadence.is_due(words, last):
+            self._screen.say(f"{words}  {_eta(self._study, standings, slots)}".rstrip())
 
 
 def _counts(standings: Sequence[RunStanding]) -> str:
@@ -296,11 +270,7 @@ def _counts(standings: Sequence[RunStanding]) -> str:
 
 def _eta(study: Study, standings: Sequence[RunStanding], slots: int) -> str:
     left = seconds_left(study, standings, slots)
-    if not left:
-        return ""
-    minutes, seconds = divmod(round(left), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"ETA {hours}:{minutes:02d}:{seconds:02d}" if hours else f"ETA {minutes}:{seconds:02d}"
+    return in_words(left) if left else ""
 
 
 def _running_table(study: Study, standings: Sequence[RunStanding]) -> Table:

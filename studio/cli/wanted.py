@@ -15,6 +15,7 @@ from morph_core.presets import PRESETS, method_of
 from morph_core.task import Task
 from studio.cli.arguments import UsageError, options, parse, value_after
 from studio.fields import Field, chosen_fields, docs_of, fields_of, told
+from studio.new_run import resettled
 
 _KINDS: dict[str, type] = {"int": int, "float": float, "str": str, "bool": bool}
 
@@ -30,6 +31,8 @@ class Wanted:
     settings: Mapping[str, object]
     """Settings of the method that differ from those found to work for the task, under dotted names; those of a preset
     are among them."""
+    everything: Mapping[str, object]
+    """All settings of the method that flags can give, under dotted names."""
 
 
 def parse_wanted(
@@ -38,7 +41,7 @@ def parse_wanted(
     """Return what the words ask for; raise UsageError with one line.
 
     `kind` is a dataclass with the other arguments. Which flags there are, and their defaults, depends on the task,
-    the method and its parts; `recorded` are those, and the seed, of a run that is resumed.
+    the method and its parts; `recorded` are those, and the seed, of a run that is resumed or branched from.
     """
     if recorded:
         task, method, seed = recorded
@@ -58,6 +61,17 @@ def parse_wanted(
     return dataclasses.replace(again, task_options=first.task_options)
 
 
+def branch_method(words: Sequence[str], command: str, task: Task, parent: Method) -> Method:
+    """Return the method that the words name for a branch: that of its parent, unless they name another or a preset."""
+    preset, asked = value_after(words, "--preset"), value_after(words, "--method")
+    if preset in PRESETS or (asked in METHODS and asked != parent.name):
+        return _method_of(words, command, task)
+    try:
+        return resettled(parent, task, _choices_in(words, parent, task))
+    except ValueError as error:
+        raise UsageError(f"{command}: {error}") from error
+
+
 def _method_of(words: Sequence[str], command: str, task: Task) -> Method:
     """Return the method that the words name, with the exploration and search that they name.
 
@@ -66,14 +80,17 @@ def _method_of(words: Sequence[str], command: str, task: Task) -> Method:
     preset, asked = value_after(words, "--preset"), value_after(words, "--method")
     preset = preset if preset in PRESETS else None
     name = asked if asked and asked in METHODS else method_of(preset)
-    method = make_method(name, task)
-    choices = {field.name: field.choices or [] for field in chosen_fields(method, task) if field.choices}
-    wanted = {path: value_after(words, f"--{path.replace('_', '-')}") for path in choices}
-    chosen = {path: word for path, word in wanted.items() if word in choices[path]}
     try:
-        return make_method(name, task, chosen, preset)
+        return make_method(name, task, _choices_in(words, make_method(name, task), task), preset)
     except ValueError as error:
         raise UsageError(f"{command}: {error}") from error
+
+
+def _choices_in(words: Sequence[str], method: Method, task: Task) -> dict[str, str]:
+    """Return what the words choose by name, such as the exploration and the search, where it is there to be chosen."""
+    choices = {field.name: field.choices or [] for field in chosen_fields(method, task) if field.choices}
+    wanted = {path: value_after(words, f"--{path.replace('_', '-')}") for path in choices}
+    return {path: word for path, word in wanted.items() if word is not None and word in choices[path]}
 
 
 def _parse(kind: type, words: Sequence[str], command: str, task: Task, method: Method, seed: int = 0) -> Wanted:
@@ -90,6 +107,7 @@ def _parse(kind: type, words: Sequence[str], command: str, task: Task, method: M
         asked,
         {f.name: value for f in _offered(task) if (value := getattr(asked.options, f.name)) != f.default},
         {name: value for name, value in found.items() if value != usual.get(name)},
+        found,
     )
 
 

@@ -40,6 +40,8 @@ OPTIONAL_FORMATS = ("step",)
 ALL_FORMATS = (*FORMATS, *OPTIONAL_FORMATS)
 MESH_FORMATS = ("stl", "3mf", "glb", "step")
 """Formats that are made of parts."""
+BY_HAND = "changed by hand"
+"""Words behind the name of a design that no run has recorded."""
 EPISODES = 32
 """Number of episodes that measure the policy's success on the exported files, for which an export may take 3 s."""
 _SHIPPED = Path(__file__).parent / "shipped"
@@ -57,14 +59,17 @@ class Bundle:
     """The bytes of the zip."""
 
 
-def build_bundle(history: History, which: str, formats: Sequence[str] | None = None) -> Bundle:
-    """Return the design `which`: "best", "latest" or an iteration.
+def build_bundle(
+    history: History, which: str, formats: Sequence[str] | None = None, phi: Sequence[float] | None = None
+) -> Bundle:
+    """Return the design `which`: "best", "latest" or an iteration; `phi`, where it is given, takes its place.
 
     The files are read back and compared with the simulated robot first. Raise ExportError with what disagrees, or
     with what is allowed.
     """
-    files, checks = _build(history, which, formats)
-    return Bundle(bundle_name(history, which), files, checks, zipped(dict(sorted(files.items()))))
+    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float))
+    name = bundle_name(history, which, by_hand=phi is not None)
+    return Bundle(name, files, checks, zipped(dict(sorted(files.items()))))
 
 
 def default_formats(task: Task) -> tuple[str, ...]:
@@ -72,10 +77,15 @@ def default_formats(task: Task) -> tuple[str, ...]:
     return FORMATS if robot_of(task).has_parts else tuple(f for f in FORMATS if f not in MESH_FORMATS)
 
 
-def _build(history: History, which: str, formats: Sequence[str] | None) -> tuple[dict[str, bytes], list[Check]]:
+def _build(
+    history: History, which: str, formats: Sequence[str] | None, other_phi: np.ndarray | None
+) -> tuple[dict[str, bytes], list[Check]]:
     iteration, phi = _chosen(history, which)
     task = task_of(history)
+    if other_phi is not None:
+        phi, which = other_phi, f"{which}, {BY_HAND}"
     _check_phi(history, phi)
+    _check_buildable(task, phi)
     formats = default_formats(task) if formats is None else formats
     check_formats(formats, task)
     robot = robot_of(task)
@@ -214,12 +224,12 @@ def _promised(history: History, recorded: Evaluation | None, policy: Policy) -> 
     return [Score(episodes, recorded.sampled_success, "in training")] if isinstance(episodes, int) else []
 
 
-def bundle_name(history: History, which: str) -> str:
+def bundle_name(history: History, which: str, *, by_hand: bool = False) -> str:
     """Return the name of the zip: run and design, safe as a file name whatever the run is called."""
     iteration, _ = _chosen(history, which)
     label = f"{iteration:06d}" if which == str(iteration) else f"{which}-{iteration:06d}"
     run = re.sub(r"[^A-Za-z0-9._-]+", "_", history.folder.id)[:100].lstrip(".") or "run"
-    return f"{run}-{label}.zip"
+    return f"{run}-{label}{'-' + BY_HAND.replace(' ', '-') if by_hand else ''}.zip"
 
 
 def check_formats(formats: Sequence[str], task: Task) -> None:
@@ -253,10 +263,17 @@ def _check_phi(history: History, phi: np.ndarray) -> None:
     """Raise ExportError unless phi (d,) is finite and inside the task's own box."""
     parameters = history.record.parameters
     if phi.shape != (len(parameters),):
-        raise ExportError(f"the recorded design has {phi.size} entries; {len(parameters)} are needed")
+        raise ExportError(f"the design has {phi.size} entries; {len(parameters)} are needed")
     for p, value in zip(parameters, phi, strict=True):
         if not p.hard_lo <= value <= p.hard_hi:
-            raise ExportError(f"{p.name} of the recorded design is {value:g}, outside [{p.hard_lo:g}, {p.hard_hi:g}]")
+            raise ExportError(f"{p.name} of the design is {value:g}, outside [{p.hard_lo:g}, {p.hard_hi:g}]")
+
+
+def _check_buildable(task: Task, phi: np.ndarray) -> None:
+    try:
+        task.check_buildable(phi)
+    except ValueError as error:
+        raise ExportError(str(error)) from error
 
 
 def _design(history: History, task: Task, which: str, iteration: int, phi: np.ndarray, parts: Sequence[Part]) -> Design:

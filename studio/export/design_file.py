@@ -5,10 +5,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
-from morph_core.protocol import Parameter
+from morph_core.protocol import Parent
 from studio.export.archive import MAX_BYTES, unzipped
 from studio.export.errors import ExportError
+from studio.new_run import StartRun
 
 FILE = "design.json"
 KIND = "morph-studio design"
@@ -123,7 +125,21 @@ def phi_for(design: Design, task: str, space: DesignSpace) -> np.ndarray:
         raise ExportError(str(error)) from error
 
 
-def starting_from(design: Design, space: DesignSpace) -> list[Parameter]:
-    """Return the parameters of a new run that starts from the design, with the task's own bounds."""
+def starting_from(design: Design, wish: StartRun, task_options: dict[str, object] | None = None) -> StartRun:
+    """Return the wish for a run of its task that starts from the design, with the bounds and locks wished for.
+
+    `task_options` are by default those of the design. Raise ExportError unless the design fits its task.
+    """
+    options = design.task_options if task_options is None else task_options
+    try:
+        space = make_task(design.task, options).design_space
+    except (ValueError, TypeError) as error:
+        raise ExportError(f"this design is for a task that can't be had: {error}") from error
     phi = phi_for(design, design.task, space)
-    return [msgspec.structs.replace(p, initial=float(v)) for p, v in zip(space.parameters, phi, strict=True)]
+    wanted = {p.name: p for p in wish.parameters or ()}
+    held = zip(space.parameters, phi.tolist(), strict=True)
+    begun = [msgspec.structs.replace(wanted.get(p.name, p), initial=value) for p, value in held]
+    return msgspec.structs.replace(
+        wish, task=design.task, task_options=options, parameters=begun,
+        parent=Parent(design.run, design.iteration),
+    )  # fmt: skip

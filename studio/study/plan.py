@@ -14,7 +14,7 @@ from morph_core.presets import PRESETS
 from morph_core.protocol import RunRecord
 from morph_core.run_folder import STUDY, RunFolder, RunFolderError, create_run
 from studio import limits
-from studio.new_run import Machine, machine, record_of
+from studio.new_run import Machine, StartRun, machine, record_of
 
 FORMAT = 1
 MOST_SEEDS = 1000
@@ -331,7 +331,7 @@ def _record(study: Study, planned: PlannedRun, task: PlannedTask, variant: Varia
             f"the budget of {study.env_steps} environment steps is below one iteration of {variant.label} on "
             f"{task.name}, which takes up to {longest} ({method.trajectories} trajectories of {made.horizon} steps)"
         )
-    record = record_of(
+    wish = StartRun(
         task=task.name,
         task_options=task.options,
         method=variant.method,
@@ -341,6 +341,5 @@ def _record(study: Study, planned: PlannedRun, task: PlannedTask, variant: Varia
         iterations=limits.iterations_within(study.env_steps, method.trajectories),
         env_steps=study.env_steps,
         final_episodes=study.final_episodes,
-        made_on=here,
     )
-    return msgspec.structs.replace(record, id=planned.run)
+    return msgspec.structs.replace(record_of(wish, made_on=here), id=planned.run)

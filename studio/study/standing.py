@@ -2,19 +2,19 @@
 
 import statistics
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 
 from morph_core.history import History
-from morph_core.protocol import Evaluation, Progress, StateChanged, Status, Stop
+from morph_core.protocol import AnyEvent, Progress, StateChanged, Status, Stop
 from morph_core.run_folder import RunFolder, RunFolderError
 from studio.study.launcher import Place
 from studio.study.plan import PlannedRun, Study
 
 START_SECONDS = 3.0
-"""CPU time that a trainer takes before its first iteration, for the estimate of what is left."""
+"""Seconds that a trainer takes before its first word, for the estimate of what is left."""
 
 
 class Solved(msgspec.Struct, frozen=True):
@@ -22,6 +22,14 @@ class Solved(msgspec.Struct, frozen=True):
 
     env_steps: int
     cpu_seconds: float
+
+
+class Work(msgspec.Struct, frozen=True):
+    """What a run's trainers have done by the wall clock, what was voided by a resume included."""
+
+    seconds: float = 0.0
+    """Time in which a trainer was at work: neither paused nor gone."""
+    env_steps: int = 0
 
 
 class RunStanding(msgspec.Struct, frozen=True, kw_only=True):
@@ -42,6 +50,7 @@ class RunStanding(msgspec.Struct, frozen=True, kw_only=True):
     relabelled_steps: int = 0
     search_steps: int = 0
     cpu_seconds: float = 0.0
+    work: Work = Work()
     solved: Solved | None = None
     sampled_success: float | None = None
     """Success over the episodes of the evaluation at the end; of the last one as long as there is none."""
@@ -117,7 +126,7 @@ def standing_of(history: History, planned: PlannedRun, level: float, place: Plac
     """Return what a run has come to."""
     status, beat = history.status, history.heartbeat
     progress: Progress | None = history.progress[-1] if history.progress else None
-    last = next((e for e in reversed(history.evaluations) if e.final), None) or _last(history.evaluations)
+    last, solved = history.last_evaluation, history.first_evaluation("sampled", level)
     by_user = stopped_by_user(history)
     silent = status in ("finished", "running")
     return RunStanding(
@@ -133,19 +142,13 @@ def standing_of(history: History, planned: PlannedRun, level: float, place: Plac
         env_steps=progress.env_steps if progress else 0,
         relabelled_steps=progress.relabelled_steps if progress else 0,
         search_steps=progress.search_steps if progress else 0,
-        cpu_seconds=max([e.cpu_seconds for e in (*history.progress[-1:], *history.evaluations[-1:])], default=0.0),
-        solved=next(
-            (Solved(e.env_steps, e.cpu_seconds) for e in history.evaluations
-             if not e.final and e.sampled_success >= level), None,
-        ),
+        cpu_seconds=history.cpu_seconds,
+        work=work_of(history.events),
+        solved=Solved(solved.env_steps, solved.cpu_seconds) if solved else None,
         sampled_success=last.sampled_success if last else None,
         deterministic_success=last.deterministic_success if last else None,
         stage=beat.stage if beat and status in ("starting", "running") else "",
-    )  # fmt: skip
-
-
-def _last(evaluations: Sequence[Evaluation]) -> Evaluation | None:
-    return evaluations[-1] if evaluations else None
+    )
 
 
 def by_variant(study: Study, standings: Sequence[RunStanding]) -> Iterator[VariantStanding]:
@@ -185,22 +188,45 @@ def share_done(study: Study, standings: Sequence[RunStanding]) -> float:
     return done / len(standings)
 
 
+def work_of(events: Iterable[AnyEvent]) -> Work:
+    """Return what trainers have done between their words.
+
+    A trainer that died did something after its last one, too: neither that time nor those steps are known.
+    """
+    seconds, steps = 0.0, 0
+    since: float | None = None  # when the trainer at work said its last word
+    reached = {0: 0}  # environment steps by iteration
+    at = 0
+    for event in events:
+        if isinstance(event, StateChanged) and event.status == "starting":
+            since, at = event.time, reached.get(event.iteration, at)
+            continue
+        if since is not None:
+            seconds += max(0.0, event.time - since)
+            since = event.time
+        if isinstance(event, Progress):
+            steps += max(0, event.env_steps - at)
+            at = reached[event.iteration] = event.env_steps
+        elif isinstance(event, StateChanged):
+            since = event.time if event.status == "running" else None
+    return Work(seconds, steps)
+
+
 def seconds_left(study: Study, standings: Sequence[RunStanding], at_once: int) -> float | None:
     """Return the time until all runs are over, `at_once` of them at a time; None before anything can be told.
 
-    A run's pace in CPU time is that of its task and method, or else of its task, or of all.
+    A run's pace is that of all work on its task and method so far, or else on its task, or on all; it is by the wall
+    clock, so that a machine that does other things too is known to be slow.
     """
-    paces: dict[tuple[str, ...], list[float]] = defaultdict(list)
+    done: dict[tuple[str, ...], Work] = defaultdict(Work)
     for run in standings:
-        if run.env_steps:
-            for key in ((), (run.task,), (run.task, run.variant)):
-                paces[key].append(run.cpu_seconds / run.env_steps)
-    if not paces:
+        for key in ((), (run.task,), (run.task, run.variant)):
+            done[key] = Work(done[key].seconds + run.work.seconds, done[key].env_steps + run.work.env_steps)
+    if not done[()].env_steps:
         return None
     left = []
     for run in (run for run in standings if not run.over):
-        keys = ((run.task, run.variant), (run.task,), ())
-        pace = next(statistics.fmean(paces[key]) for key in keys if key in paces)
+        work = next(done[key] for key in ((run.task, run.variant), (run.task,), ()) if done[key].env_steps)
         starting = START_SECONDS if run.status in ("queued", "starting") else 0.0
-        left.append(starting + pace * max(0, study.env_steps - run.env_steps))
+        left.append(starting + work.seconds / work.env_steps * max(0, study.env_steps - run.env_steps))
     return max(sum(left) / max(1, at_once), max(left, default=0.0))

@@ -37,10 +37,10 @@ def _entries(take: Take) -> Iterator[tuple[Colour, str]]:
         yield CONTACT_COLOUR, "contact"
     if take.touched.any():
         yield WALL_LIT, "wall hit"
-    pale = [("initial", take.ghost), ("earlier", take.trail), ("explored", take.population)]
+    pale = [(take.shot.ghost_name, take.ghost), ("earlier", take.trail), ("explored", take.population)]
     names = [name for name, figure in pale if figure]
     if names:
-        yield GHOST_COLOUR, f"{', '.join(names)} design{'s' * (names != ['initial'])}"
+        yield GHOST_COLOUR, f"{', '.join(names)} design{'s' * (names != [take.shot.ghost_name])}"
 
 
 def _colour_of(figure: Figure, name: str) -> Colour | None:

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 
 from studio.viewer.figure import Figure
-from studio.viewer.scene import CONTACT_COLOUR, FIELD_OF_VIEW, GHOST_COLOUR, Layer, Ruler, camera
+from studio.viewer.scene import CONTACT_COLOUR, FIELD_OF_VIEW, GHOST_COLOUR, NARROW, USUAL_ASPECT, Layer, Ruler, camera
 from studio.viewer.take import FRAMES_PER_SECOND, Shot, Take, make_take
 
 SPEEDS = (0.1, 4.0)
@@ -60,6 +60,7 @@ class Player:
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="viewer-player", daemon=True)
         self._thread.start()
+        server.on_client_connect(self._welcome)
 
     @property
     def take(self) -> Take | None:
@@ -181,8 +182,18 @@ class Player:
         position, target = camera(*take.box)
         start.fov, start.position, start.look_at = FIELD_OF_VIEW, position, target
         for client in self._server.get_clients().values():
-            camera_of = client.camera
-            camera_of.fov, camera_of.position, camera_of.look_at = FIELD_OF_VIEW, position, target
+            self._point(client, take)
+
+    def _point(self, client: viser.ClientHandle, take: Take) -> None:
+        """Let a client see the whole scene, whatever the shape of its page."""
+        aspect = client.camera.aspect
+        position, target = camera(*take.box, aspect if aspect < NARROW else USUAL_ASPECT)
+        client.camera.fov, client.camera.position, client.camera.look_at = FIELD_OF_VIEW, position, target
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        """Point the camera of a client that has just come; that of a usual page begins where it should."""
+        if self._take and client.camera.aspect < NARROW:
+            self._point(client, self._take)
 
     def _instant(self) -> int:
         return min(round(self._time * FRAMES_PER_SECOND), self._take.frames - 1) if self._take else 0

@@ -15,6 +15,7 @@ from morph_core.protocol import (
     StepIteration,
     Stop,
 )
+from studio.log import acknowledgement, describe
 from studio.viewer import wording
 from studio.viewer.rules import rules_of
 
@@ -28,10 +29,16 @@ Send = Callable[[Callable[[], Sequence[AnyCommand]], viser.ClientHandle | None],
 
 
 class RunPanel:
-    """The panel of one run; `send` is called with the commands, `on_resume` restarts a run that has ended."""
+    """The panel of one run; `send` is called with the commands, `on_resume` restarts a run that has ended, and
+    `on_branch` opens the form for a new run that begins where the timeline stands."""
 
     def __init__(
-        self, gui: viser.GuiApi, *, send: Send, on_resume: Callable[[viser.ClientHandle | None], None]
+        self,
+        gui: viser.GuiApi,
+        *,
+        send: Send,
+        on_resume: Callable[[viser.ClientHandle | None], None],
+        on_branch: Callable[[viser.ClientHandle | None], None],
     ) -> None:
         self._send = send
         self._on_resume = on_resume
@@ -45,14 +52,24 @@ class RunPanel:
         self.more = gui.add_button_group(
             "run", tuple(_MORE), hint="Step: one iteration, then hold. Stop: save and end; it can be resumed."
         )
+        self.branch = gui.add_button(
+            "Branch from here", icon=viser.Icon.GIT_BRANCH, color="gray",
+            hint="A new run that goes on from the iteration that the timeline shows, with other bounds or settings (B)",
+        )  # fmt: skip
         self.log = gui.add_html("")
         self.rules = gui.add_html("")
         self._everything = (
-            self.state, self.bar, self.numbers, self.pause, self.resume, self.more, self.log, self.rules,
+            self.state, self.bar, self.numbers, self.pause, self.resume, self.more, self.branch, self.log,
+            self.rules,
         )  # fmt: skip
         self.pause.on_click(lambda event: self._send(lambda: [Pause()], event.client))
         self.resume.on_click(lambda event: self.go_on(event.client))
+        self.branch.on_click(lambda event: on_branch(event.client))
         self.more.on_click(lambda event: self.ask(event.target.value, event.client))
+
+    def offer_branch(self, iteration: int) -> None:
+        """Say on the button from which iteration a branch would begin."""
+        self.branch.label = f"Branch from here (iteration {iteration})"
 
     def go_on(self, client: viser.ClientHandle | None) -> None:
         """Resume the run: by a command if its trainer waits, with a new trainer if the old one is gone."""
@@ -181,9 +198,9 @@ def log_of(history: History, status: Status, pending: Sequence[AnyCommand]) -> s
     """Return what became of the latest commands, newest first, as HTML; `pending` ones have no answer yet."""
     space = history.design_space
     waiting = "no answer before the run ended" if status in NOT_LIVE else "asked…"
-    lines = [wording.dim(f"{wording.text(wording.describe(c, space))}: {waiting}") for c in reversed(pending)]
+    lines = [wording.dim(f"{wording.text(describe(c, space))}: {waiting}") for c in reversed(pending)]
     for event in reversed(history.acknowledged[-_LOG_LINES:]):
         colour = "inherit" if event.accepted else wording.RED
-        sentence = wording.text(wording.acknowledgement(event, space))
+        sentence = wording.text(acknowledgement(event, space))
         lines.append(f'<span style="color:{colour}">{sentence}</span>')
     return wording.paragraph("<br>".join(lines[:_LOG_LINES])) if lines else ""

@@ -15,6 +15,12 @@ CONTACT_COLOUR = (225, 30, 30)
 GHOST_COLOUR = (128, 142, 170)
 FIELD_OF_VIEW = math.radians(40)
 """Vertical field of view of the camera, in radians."""
+USUAL_ASPECT = 0.72
+"""Width / height of the part of a usual page that no panel covers."""
+NARROW = 0.7
+"""Width / height of a page, such as a phone's, below which the panel lies over the lower half of the scene."""
+_LIFT = 0.45
+"""How far above the middle of a narrow page the middle of the scene is seen, as a share of half the page's height."""
 _TILT = math.radians(16)
 """Angle by which the camera leans from straight above where everything lies in one plane, in radians."""
 OBLIQUE = np.array([0.55, -1.0, 0.5]) / np.linalg.norm([0.55, -1.0, 0.5])
@@ -172,10 +178,10 @@ def is_flat(low: np.ndarray, high: np.ndarray) -> bool:
     return bool(size[2] < 0.25 * min(size[0], size[1]))
 
 
-def camera(low: np.ndarray, high: np.ndarray, aspect: float = 0.72) -> tuple[np.ndarray, np.ndarray]:
+def camera(low: np.ndarray, high: np.ndarray, aspect: float = USUAL_ASPECT) -> tuple[np.ndarray, np.ndarray]:
     """Return position (3,) and target (3,) of a camera that frames the box: from above if flat, else from the side.
 
-    `aspect` is width / height of the free part of the page.
+    `aspect` is width / height of the free part of the page. In a narrow page the box is seen in the upper half.
     """
     flat = is_flat(low, high)
     direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)]) if flat else OBLIQUE
@@ -185,8 +191,10 @@ def camera(low: np.ndarray, high: np.ndarray, aspect: float = 0.72) -> tuple[np.
     across, upward, nearer = corners @ right, corners @ up, corners @ direction
     shift = (upward.max() + upward.min()) / 2
     distance = np.max(nearer + np.maximum(np.abs(across) / (slope * aspect), np.abs(upward - shift) / slope))
-    target = (low + high) / 2 + shift * up
-    return target + max(float(distance), 1e-3) * direction, target
+    distance = max(float(distance), 1e-3)
+    lift = _LIFT * distance * math.tan(FIELD_OF_VIEW / 2) if aspect < NARROW else 0.0
+    target = (low + high) / 2 + (shift - lift) * up
+    return target + distance * direction, target
 
 
 def screen_axes(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

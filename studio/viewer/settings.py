@@ -10,6 +10,7 @@ from morph_core.catalogue import make_method
 from morph_core.method import Method
 from morph_core.task import Task
 from studio.fields import Field, chosen_fields, told
+from studio.new_run import resettled
 
 _PARTS = ("exploration", "search")
 """Fields of a method that are chosen by name in sight; other choices of a plug-in's method are folded away."""
@@ -23,18 +24,15 @@ class SettingsForm:
         self._task: Task | None = None
         self._method: Method | None = None
         self._preset: str | None = None
+        self._parent: Method | None = None
         self._more: dict[str, Any] = {}
         """The settings that are folded away, by dotted name."""
         self._folders: list[viser.GuiFolderHandle] = []
         self._filling = False
-        self.alpha = gui.add_number(
-            "α", 1.0, min=0.0, step=0.1, hint="Weight of the divergence between proxy and Hw-Phy in Eq. 2."
-        )
-        self.projection = gui.add_dropdown(
-            "projection", [""], hint="What happens to the task's gradient where it conflicts with the hardware's."
-        )
-        self.exploration = gui.add_dropdown("exploration", [""], hint="How the hardware's output z is explored.")
-        self.search = gui.add_dropdown("search", [""], hint="How the design is found whose physics match the proxy.")
+        self.alpha = gui.add_number("α", 1.0, min=0.0, step=0.1)
+        self.projection = gui.add_dropdown("projection", [""])
+        self.exploration = gui.add_dropdown("exploration", [""])
+        self.search = gui.add_dropdown("search", [""])
         self._slot = gui.add_folder(None)
         for path in _PARTS:
             self._in_sight[path].on_update(lambda _: self._choose_part())
@@ -46,11 +44,12 @@ class SettingsForm:
             "alpha": self.alpha, "projection": self.projection, "exploration": self.exploration, "search": self.search,
         }  # fmt: skip
 
-    def show(self, task: Task, method: str, preset: str | None = None) -> None:
+    def show(self, task: Task, method: str, preset: str | None = None, parent: Method | None = None) -> None:
         """Show the settings of a method as the preset has them, or, without one, as they were found to work for the
-        task."""
+        task; those of a branch that keeps the method of its `parent` as that has them."""
         self._task, self._preset = task, preset
-        self._method = make_method(method, task, preset=preset)
+        self._parent = parent if parent and parent.name == method else None
+        self._method = self._parent or make_method(method, task, preset=preset)
         fields = {field.name: field for field in chosen_fields(self._method, task)}
         self._filling = True
         for path, handle in self._in_sight.items():
@@ -59,22 +58,20 @@ class SettingsForm:
                 field = fields[path]
                 if field.choices:
                     handle.options = [str(choice) for choice in field.choices]
-                handle.value = field.default
+                handle.value, handle.hint = field.default, told(field)
         self._filling = False
         self._fold(list(fields.values()))
 
     def settings(self) -> dict[str, object]:
-        """Return the settings that differ from the defaults, under dotted names."""
+        """Return the settings that differ from the defaults, or from the parent's, under dotted names."""
         if self._task is None or self._method is None:
             return {}
         usual = {field.name: field.default for field in chosen_fields(self._method, self._task)}
         shown = {path: handle.value for path, handle in self._in_sight.items() if path in usual}
         chosen = {path: value for path, value in shown.items() if value != usual[path]}
         parts = {path: value for path, value in chosen.items() if path in _PARTS}
-        defaults = {
-            field.name: field.default
-            for field in chosen_fields(make_method(self._method.name, self._task, parts, self._preset), self._task)
-        }
+        made = self._made(self._method.name, self._task, parts)
+        defaults = {field.name: field.default for field in chosen_fields(made, self._task)}
         more = {path: handle.value for path, handle in self._more.items() if path in defaults}
         return chosen | {path: value for path, value in more.items() if value != defaults[path]}
 
@@ -84,10 +81,16 @@ class SettingsForm:
             return
         wanted = {path: self._in_sight[path].value for path in _PARTS if self._in_sight[path].visible}
         try:
-            method = make_method(self._method.name, self._task, wanted, self._preset)
+            method = self._made(self._method.name, self._task, wanted)
         except ValueError:  # said when the run is started
             return
         self._fold(chosen_fields(method, self._task))
+
+    def _made(self, name: str, task: Task, settings: Mapping[str, object]) -> Method:
+        """Return the method with these settings on top of what it begins with; ValueError says what is allowed."""
+        if self._parent:
+            return resettled(self._parent, task, settings)
+        return make_method(name, task, settings, self._preset)
 
     def _fold(self, fields: Sequence[Field]) -> None:
         """Make the settings that are folded away anew, one folder for each part."""

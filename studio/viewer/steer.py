@@ -4,9 +4,11 @@ import typing
 
 import viser
 
+from morph_core.catalogue import METHODS
 from morph_core.config import NotNegative, Projection, check_value
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, SetAlpha, SetProjection, Status
+from studio.fields import docs_of
 from studio.viewer.run import NOT_LIVE, Send
 
 
@@ -14,11 +16,12 @@ class SteerPanel:
     """A form for alpha and the projection rule. Edits wait for Apply; `send` is called with the commands."""
 
     def __init__(self, gui: viser.GuiApi, *, send: Send) -> None:
+        docs = docs_of(METHODS["morph"])
         self._in_force: tuple[float, Projection] | None = None
         self.form = gui.add_form("Algorithm", visible=False)
         with self.form:
-            self.alpha = gui.add_number("α", 1.0, min=0.0, step=0.1, hint="Weight of the divergence in Eq. 2")
-            self.projection = gui.add_dropdown("projection", list(typing.get_args(Projection)))
+            self.alpha = gui.add_number("α", 1.0, min=0.0, step=0.1, hint=docs["alpha"])
+            self.projection = gui.add_dropdown("projection", list(typing.get_args(Projection)), hint=docs["projection"])
             self.apply = gui.add_button("Apply", icon=viser.Icon.CHECK, color="green")
         self.apply.on_click(lambda _: self.form.submit())
         self.form.on_submit(lambda event: send(self.commands, event.client))

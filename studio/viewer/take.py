@@ -1,6 +1,8 @@
 """What is to be seen in the scene, and everything that drawing it needs, worked out once."""
 
 import contextlib
+import functools
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +11,7 @@ import mujoco
 import numpy as np
 
 from morph_core.catalogue import make_task
-from morph_core.run_folder import RunFolder, read_episode
+from morph_core.run_folder import RunFolder, episode_arrays, read_episode
 from morph_core.task import Task
 from studio.robots.chooser import robot_of
 from studio.robots.parts import dress, stl_files
@@ -41,9 +43,13 @@ class Shot:
     phi: tuple[float, ...]
     """The design in front."""
     episode: tuple[RunFolder, int] | None = None
-    """The episode that is played; without one the robot stands in the start posture."""
+    """The recorded episode that is played; without one the robot stands in the start posture."""
+    played: bytes | None = None
+    """An episode that no run has recorded, as the bytes of an npz file; it goes before a recorded one."""
     ghost: tuple[float, ...] | None = None
     """The design that stands pale behind the one in front."""
+    ghost_name: str = "initial"
+    """Word that says which design that is."""
     trail: tuple[tuple[float, ...], ...] = ()
     """Earlier designs, which are shown paler still."""
     printed: bool = False
@@ -120,10 +126,10 @@ class _Episode:
 def make_take(shot: Shot) -> Take:
     """Build the designs, read the episode, place every part. Raise ValueError if task or episode is no good."""
     task = make_task(shot.task, dict(shot.task_options))
-    recorded = read_episode(*shot.episode) if shot.episode else {}
+    recorded = _recorded(shot)
     phi = np.asarray(recorded.get("phi", shot.phi), float)
     model, alone = _models(task, phi, shot.printed)
-    if shot.episode:
+    if recorded:
         episode = _episode(recorded, model.nq, len(phi))
     else:
         nothing = np.zeros((0, len(phi)))
@@ -132,14 +138,15 @@ def make_take(shot: Shot) -> Take:
     frames = smooth(model, _fill(model, episode.qpos), factor)
     robot, objects, scenery = _split(Figure.from_model(model, frames), alone)
     contact = _moving_contacts(episode.contact, factor, len(frames))
-    box, floor = _frame(task)
+    options = json.dumps(dict(shot.task_options), sort_keys=True)
+    box, floor = _frame(shot.task, options)
     population = episode.population if shot.population else ()
     return Take(
         shot=shot,
         robot=robot,
         objects=objects,
         scenery=scenery,
-        ghost=_standing(task, [shot.ghost], _GHOST_THICKNESS) if shot.ghost else None,
+        ghost=_ghost(shot.task, options, shot.ghost) if shot.ghost else None,
         trail=_standing(task, shot.trail, _TRAIL_THICKNESS),
         population=_standing(task, population, _POPULATION_THICKNESS),
         goal_touched=_from_their_end(episode.success, factor, len(frames)),
@@ -149,6 +156,13 @@ def make_take(shot: Shot) -> Take:
         box=box,
         floor=floor,
     )
+
+
+def _recorded(shot: Shot) -> dict[str, np.ndarray]:
+    """Return the arrays of the episode that is to be played, or none."""
+    if shot.played is not None:
+        return episode_arrays(shot.played)
+    return read_episode(*shot.episode) if shot.episode else {}
 
 
 def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, mujoco.MjModel]:
@@ -207,6 +221,12 @@ def _standing(task: Task, designs: Sequence[Sequence[float]] | np.ndarray, thick
     return Figure.joined(figures).thinned(thickness) if figures else None
 
 
+@functools.lru_cache(maxsize=16)
+def _ghost(task: str, options: str, phi: tuple[float, ...]) -> Figure | None:
+    """Return the design that stands pale behind another one; it stays while that one is dragged."""
+    return _standing(make_task(task, json.loads(options)), [phi], _GHOST_THICKNESS)
+
+
 def _fill(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     """Return qpos (T, nq) for a model with more (objects) or fewer joints (the robot alone) than were recorded."""
     filled = np.tile(model.qpos0, (len(qpos), 1))
@@ -245,12 +265,14 @@ def _touched(scenery: Figure, contact: np.ndarray) -> np.ndarray:
     return touched
 
 
-def _frame(task: Task) -> tuple[Corners, Corners]:
-    """Return what is always in sight, and the floor below it.
+@functools.lru_cache(maxsize=16)
+def _frame(name: str, options: str) -> tuple[Corners, Corners]:
+    """Return what is always in sight of a task with `options`, which are JSON, and the floor below it.
 
     In sight are obstacles, goal and the initial design where it starts; where objects are carried to the goal, also
     the room that the design needs there.
     """
+    task = make_task(name, json.loads(options))
     phi = task.design_space.initial
     model = task.scene(phi).compile()
     whole = Figure.from_model(model, _fill(model, _start(task, phi)))

@@ -35,7 +35,7 @@ class TimelinePanel:
         self._on_choice = on_choice
         self._on_refusal = on_refusal
         self._recorded: list[int] = []
-        self._latest = 0
+        self._first = self._latest = 0
         self._history: History | None = None
         self.panel = gui.add_panel()
         with self.panel.add_tab("Playback", viser.Icon.PLAYER_PLAY):
@@ -43,7 +43,7 @@ class TimelinePanel:
             self.legend = gui.add_html("")
             self.follow = gui.add_checkbox("follow latest", True, hint="Show each new design as it comes (F)")
             self.iteration = gui.add_slider(
-                "iteration", 0, 1, 1, 0, hint="The design of this iteration; 0 is the initial one"
+                "iteration", 0, 1, 1, 0, hint="The design of this iteration; the first is the initial one"
             )
             self.recorded = gui.add_button_group(
                 "episodes", ("first", "back", "on", "last"), hint="Only iterations with a recorded episode"
@@ -90,23 +90,24 @@ class TimelinePanel:
         """Tell whether the shown iteration has a recorded episode."""
         return self.shown_iteration in self._recorded
 
-    def update(self, history: History, *, live: bool) -> None:
-        """Offer the iterations that a run has recorded, and say which one is shown."""
+    def update(self, history: History, *, live: bool, by_hand: bool = False) -> None:
+        """Offer the iterations that a run has recorded, and say which one is shown, or was changed `by_hand`."""
         another = self._history is None or history.record.id != self._history.record.id
         self._history = history
         if another:
             self.follow.value = True
             self.printed.value = shows_parts(history.record.parameters)
             self._has_printed_parts = has_printed_parts(history)
-        self._latest = history.iteration
+        self._first, self._latest = history.begins_at, history.iteration
         self._recorded = [e.iteration for e in history.evaluations if e.episode]
-        self.iteration.max = max(self._latest, 1)
+        self.iteration.min, self.iteration.max = self._first, max(self._latest, self._first + 1)
         for handle in self._choices:
             handle.visible = handle is not self.printed or self._has_printed_parts
-        if self.follow.value or self.iteration.value > self.iteration.max:
+        if self.follow.value or not self._first <= self.iteration.value <= self.iteration.max:
             self.iteration.value = min(self.shown_iteration, self.iteration.max)
         self.inject.visible = live and not self.follow.value
-        self.what.content = wording.paragraph(self._what())
+        changed = f"a body changed by hand, with the policy of iteration {self.shown_iteration}"
+        self.what.content = wording.paragraph(changed if by_hand else self._what())
 
     def turn_to(self, iteration: int) -> None:
         """Choose an iteration, the last one at most, and follow the newest design no longer."""
@@ -115,7 +116,7 @@ class TimelinePanel:
 
     def clear(self, sentence: str) -> None:
         """Show no run, and `sentence` in its place."""
-        self._history, self._recorded, self._latest = None, [], 0
+        self._history, self._recorded, self._first, self._latest = None, [], 0, 0
         for handle in (*self._choices, self.inject):
             handle.visible = False
         self.what.content = wording.paragraph(wording.text(sentence))
@@ -147,6 +148,11 @@ class TimelinePanel:
         self.play.label = "Pause playback" if playing else "Play"
         self.play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
 
+    def hold(self) -> None:
+        """Stay at the shown iteration instead of following the latest one."""
+        shown = self.shown_iteration
+        self.follow.value, self.iteration.value = False, min(shown, int(self.iteration.max))
+
     def toggle_follow(self) -> None:
         """Begin to follow the latest design, or stop following it."""
         self.follow.value = not self.follow.value
@@ -156,7 +162,7 @@ class TimelinePanel:
         if self._history is None:
             return ""
         shown = self.shown_iteration
-        if shown == 0:
+        if shown == self._first:
             return "initial design, in its start posture" if not self.has_episode else "initial design"
         if self.has_episode:
             return f"design of iteration {shown}, playing its episode on Hw-Phy"
@@ -166,9 +172,10 @@ class TimelinePanel:
 
     def _pick(self, client: viser.ClientHandle | None) -> None:
         value = self.iteration.value
-        if not 0 <= value <= self._latest:
-            self.iteration.value = min(self.shown_iteration if self.follow.value else 0, int(self.iteration.max))
-            self._on_refusal(f"there is no iteration {value}; choose 0 to {self._latest}", client)
+        if not self._first <= value <= self._latest:
+            known = self.shown_iteration if self.follow.value else self._first
+            self.iteration.value = min(known, int(self.iteration.max))
+            self._on_refusal(f"there is no iteration {value}; choose {self._first} to {self._latest}", client)
             return
         self.follow.value = False
         self._on_choice()

@@ -164,9 +164,9 @@ def _shares(history: History) -> Curves:
 
 
 def _phis(history: History, quantity: Quantity) -> Curves:
-    """Return a quantity of phi by iteration, in the unit in which it is shown; iteration 0 is the initial design."""
+    """Return a quantity of phi by iteration, in the unit in which it is shown; the first is of the initial design."""
     rows = [p for p in history.progress if len(p.phi) == len(history.design_space)]
-    x = np.array([0.0, *(p.iteration for p in rows)])
+    x = np.array([float(history.begins_at), *(p.iteration for p in rows)])
     phi = np.array([history.initial_phi, *(p.phi for p in rows)], dtype=float)
     return x, *(phi[:, entry.index] * quantity.unit.factor for entry in quantity.entries)
 

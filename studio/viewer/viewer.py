@@ -9,21 +9,26 @@ import numpy as np
 import viser
 
 from morph_core.history import History
+from morph_core.origin import origin_at
 from morph_core.protocol import AnyCommand, InjectDesign, Status
+from studio.branches import Member
 from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design
+from studio.new_run import StartRun
 from studio.viewer import wording
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
 from studio.viewer.legend import legend_of
+from studio.viewer.log import LogPanel
 from studio.viewer.player import Player
 from studio.viewer.run import NOT_LIVE, RunPanel
 from studio.viewer.scene import light_up
-from studio.viewer.start import StartPanel, StartRequest
+from studio.viewer.start import StartPanel
 from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
 from studio.viewer.timeline import TimelinePanel
 from studio.viewer.traces import TracesPanel
+from studio.viewer.what_if import Answers, WhatIfPanel
 
 NEW_RUN = "+ new run"
 _START_PATIENCE = 15.0
@@ -35,24 +40,32 @@ log = logging.getLogger(__name__)
 class Viewer:
     """The panels and the scene on a viser server; `show` is called a few times a second with fresh histories.
 
-    `on_command(run_id, command)`, `on_start(request)` -> run id, `on_resume(run_id)` and
-    `on_export(run_id, which, formats)` do what people ask for; they refuse by a ValueError, whose sentence is shown.
+    `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)`,
+    `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
+    one)` do what people ask for; they refuse by a ValueError, whose sentence is shown. `answers` say how good a policy
+    is on a changed design, and `family(run_id)` is the tree in which a run stands.
     """
 
     def __init__(
         self,
         server: viser.ViserServer,
         *,
-        on_command: Callable[[str, AnyCommand], None],
-        on_start: Callable[[StartRequest], str],
+        on_command: Callable[[str, AnyCommand, str], object],
+        on_start: Callable[[StartRun], str],
         on_resume: Callable[[str], None],
-        on_export: Callable[[str, str, Sequence[str]], Bundle],
+        on_branch: Callable[[str, int, list[float]], str],
+        on_export: Callable[[str, str, Sequence[str] | None, list[float] | None], Bundle],
+        answers: Answers,
+        family: Callable[[str], Member | None],
     ) -> None:
         self._server = server
         self._on_command = on_command
         self._on_start = on_start
         self._on_resume = on_resume
+        self._on_branch = on_branch
         self._on_export = on_export
+        self._family = family
+        self._tree: tuple[object, Member | None] = (None, None)
         self._lock = threading.RLock()
         self._histories: Mapping[str, History] = {}
         self._statuses: Mapping[str, tuple[Status, str]] = {}
@@ -72,7 +85,9 @@ class Viewer:
         self.start = StartPanel(gui, on_start=self._start, on_preview=self._refresh)
         self.tabs = gui.add_tab_group()
         with self.tabs.add_tab("Run", viser.Icon.ACTIVITY):
-            self.run = RunPanel(gui, send=self._send, on_resume=self._resume)
+            self.run = RunPanel(gui, send=self._send, on_resume=self._resume, on_branch=self._open_branch)
+        with self.tabs.add_tab("Log", viser.Icon.HISTORY):
+            self.log = LogPanel(gui, on_open=self.select)
         with self.tabs.add_tab("Export", viser.Icon.DOWNLOAD):
             self.export = ExportPanel(gui, on_export=self._export, on_import=self._import)
         left = gui.add_panel()
@@ -82,6 +97,17 @@ class Viewer:
         with left.add_tab("Steer", viser.Icon.ADJUSTMENTS):
             self.steer = SteerPanel(gui, send=self._send)
             self.design = DesignPanel(gui, send=self._send)
+        with left.add_tab("What if", viser.Icon.HAND_MOVE):
+            self.what_if = WhatIfPanel(
+                gui,
+                answers=answers,
+                on_open=lambda: self.timeline.hold(),
+                on_change=self._show_scene,
+                on_inject=self._inject,
+                on_branch=self._branch,
+                on_export=self._export_changed,
+                on_refusal=self.refuse,
+            )
         self.player = Player(server, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
         self.timeline = TimelinePanel(
             gui, self.player, on_choice=self._refresh, on_inject=self._inject, on_refusal=self.refuse
@@ -135,7 +161,8 @@ class Viewer:
         self.notice.content = wording.alert(sentence) if sentence else ""
 
     def stop(self) -> None:
-        """End the viewer's thread; the server is left to whoever started it."""
+        """End the viewer's threads; the server is left to whoever started it."""
+        self.what_if.stop()
         self.player.stop()
 
     # --- what people ask for ---
@@ -150,7 +177,7 @@ class Viewer:
         try:
             wanted = commands()  # all are checked before the first one leaves
             for command in wanted:
-                self._on_command(run_id, command)
+                self._on_command(run_id, command, _sender(client))
                 with self._lock:
                     self._pending.setdefault(run_id, []).append((command, answered))
         except (ValueError, OSError) as error:
@@ -159,9 +186,24 @@ class Viewer:
         self.tell(None if wanted else "nothing was changed: nothing to apply")
         self._refresh()
 
-    def _start(self, request: StartRequest, client: viser.ClientHandle | None) -> None:
+    def _start(self, request: StartRun, client: viser.ClientHandle | None) -> None:
         del client
-        self.select(self._on_start(request))
+        started = self._on_start(request)
+        self.start.branch_from(None)
+        self.select(started)
+
+    def _open_branch(self, client: viser.ClientHandle | None) -> None:
+        """Open the form for a run that begins where the timeline stands."""
+        history = self._histories.get(self._selected or "")
+        if history is None:
+            self.refuse("there is no run to branch from: start or choose one", client)
+            return
+        try:
+            self.start.branch_from(origin_at(history, self._shown_design(history)[0]))
+        except (ValueError, TypeError) as error:
+            self.refuse(str(error), client)
+            return
+        self.select(None)
 
     def _resume(self, client: viser.ClientHandle | None) -> None:
         run_id = self._selected
@@ -181,7 +223,27 @@ class Viewer:
         run_id = self._selected
         if run_id is None:
             raise ValueError("there is no run to export from: start or choose one")
-        return self._on_export(run_id, which, formats)
+        return self._on_export(run_id, which, formats, None)
+
+    def _branch(self, iteration: int, phi: list[float], client: viser.ClientHandle | None) -> None:
+        run_id = self._selected
+        if run_id is None:
+            return
+        try:
+            self.select(self._on_branch(run_id, iteration, phi))
+        except (ValueError, OSError) as error:
+            self.refuse(str(error), client)
+
+    def _export_changed(self, iteration: int, phi: list[float], client: viser.ClientHandle) -> None:
+        run_id = self._selected
+        if run_id is None:
+            return
+        try:
+            bundle = self._on_export(run_id, str(iteration), None, phi)
+        except (ValueError, OSError) as error:
+            self.refuse(str(error), client)
+        else:
+            client.send_file_download(bundle.name, bundle.content, save_immediately=True)
 
     def _import(self, content: bytes, client: viser.ClientHandle | None) -> None:
         history = self._histories.get(self._selected or "")
@@ -200,6 +262,7 @@ class Viewer:
         if chosen != NEW_RUN and chosen not in known:
             self.refuse(f'unknown run "{chosen}"; choose one of the list', client)
             return
+        self.start.branch_from(None)
         self.select(None if chosen == NEW_RUN else known[chosen])
 
     def _add_commands(self, gui: viser.GuiApi) -> None:
@@ -208,6 +271,8 @@ class Viewer:
         for hotkey in ("space", "K"):
             playback = gui.add_command("Play or pause the episode", hotkey=hotkey, icon=viser.Icon.PLAYER_PLAY)
             playback.on_trigger(lambda _: self.timeline.toggle_playback())
+        branch = gui.add_command("Branch from the shown iteration", hotkey="B", icon=viser.Icon.GIT_BRANCH)
+        branch.on_trigger(lambda event: self._open_branch(event.client) if self._selected else None)
         follow = gui.add_command("Follow the latest design", hotkey="F", icon=viser.Icon.PLAYER_TRACK_NEXT)
         follow.on_trigger(lambda _: self.timeline.toggle_follow())
 
@@ -232,16 +297,34 @@ class Viewer:
             self.steer.update(history, status)
             self.design.update(history, status)
             self.export.update(history)
-            self.timeline.update(history, live=live)
+            self.timeline.update(history, live=live, by_hand=self.what_if.is_changed)
             shown, phi = self._shown_design(history)
+            self.run.offer_branch(shown)
+            self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
+            self.what_if.update(history, shown, phi, live=live, following=self.timeline.follow.value)
             self.player.show(self._shot(history, shown, phi))
+
+    def _show_scene(self) -> None:
+        """Bring the scene alone up to date, as a body that is dragged must move at once."""
+        with self._lock:
+            history = self._histories.get(self._selected or "")
+            if history is not None:
+                self.player.show(self._shot(history, *self._shown_design(history)))
+
+    def _family_of(self, run_id: str) -> Member | None:
+        """Return the tree in which a run stands, found anew whenever another run is shown or runs come or go."""
+        known = run_id, tuple(self._histories)
+        if self._tree[0] != known:
+            self._tree = known, self._family(run_id)
+        return self._tree[1]
 
     def _show_nothing(self, run_id: str | None) -> None:
         """Show the start panel, or why a run can't be shown."""
         self.steer.clear()
         self.design.clear()
         self.export.clear()
+        self.what_if.clear()
         if run_id is None:
             self.traces.clear("no data yet: press Start")
             self.timeline.clear("what a run begins with, in its start posture")
@@ -275,13 +358,20 @@ class Viewer:
             return history.design("latest")
 
     def _shot(self, history: History, shown: int, phi: np.ndarray) -> Shot:
-        initial = tuple(history.initial_phi.tolist())
+        recorded = (history.folder, shown) if self.timeline.has_episode else None
+        before, name = (tuple(history.initial_phi.tolist()), "initial")
+        changed = self.what_if.is_changed
+        if changed:
+            before, name = tuple(phi.tolist()), "recorded"
+        in_front = self.what_if.phi if self.what_if.open else phi
         return Shot(
             task=history.record.task,
             task_options=tuple(sorted(history.record.task_options.items())),
-            phi=tuple(phi.tolist()),
-            episode=(history.folder, shown) if self.timeline.has_episode else None,
-            ghost=initial if self.timeline.ghost.value and (shown > 0 or self.timeline.has_episode) else None,
+            phi=tuple(in_front.tolist()),
+            episode=None if self.what_if.open else recorded,
+            played=self.what_if.episode if self.what_if.open else None,
+            ghost=before if self.timeline.ghost.value and (changed or shown > history.begins_at or recorded) else None,
+            ghost_name=name,
             trail=tuple(self.timeline.earlier(history)),
             printed=self.timeline.printed.value,
             population=self.timeline.population.value,
@@ -307,3 +397,8 @@ class Viewer:
         self.timeline.show_time(seconds, duration)
         if self.player.take:
             self.timeline.show_legend(legend_of(self.player.take))
+
+
+def _sender(client: viser.ClientHandle | None) -> str:
+    """Return words on who asked for something in the viewer, for the log of a run."""
+    return f"studio, browser {client.client_id}" if client is not None else "studio"

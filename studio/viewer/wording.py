@@ -3,23 +3,7 @@
 import html
 import math
 
-from morph_core.design import DesignSpace
-from morph_core.protocol import (
-    Acknowledged,
-    AnyCommand,
-    Checkpoint,
-    InjectDesign,
-    Lock,
-    Pause,
-    Resume,
-    SetAlpha,
-    SetBound,
-    SetProjection,
-    Status,
-    StepIteration,
-    Stop,
-    Unlock,
-)
+from morph_core.protocol import Status
 
 GREEN, AMBER, RED, GREY, BLUE = "#2b9a5b", "#b97a00", "#d0342c", "#7a828e", "#2f7fd1"
 """CSS colours that can be read on the light and on the dark theme."""
@@ -116,50 +100,3 @@ def count(number: int) -> str:
 def percent(share: float) -> str:
     """Return a share in percent, such as 42 %."""
     return f"{100 * share:.0f} %"
-
-
-def phi_in_words(phi: list[float], space: DesignSpace) -> str:
-    """Return the values of phi in words, such as "link_1 3 m, link_2 1.5 m"."""
-    return ", ".join(f"{p.name} {value:.4g} {p.unit}" for p, value in zip(space.parameters, phi, strict=False))
-
-
-def describe(command: AnyCommand, space: DesignSpace) -> str:
-    """Return what a command does, as a clause in the past tense."""
-    units = {p.name: p.unit for p in space.parameters}
-    match command:
-        case SetBound(name=name, lo=lo, hi=hi):
-            return f"bound of {name} set to [{lo:.4g}, {hi:.4g}] {units.get(name, '')}".rstrip()
-        case Lock(name=name, value=None):
-            return f"{name} locked at its present value"
-        case Lock(name=name, value=value):
-            return f"{name} locked at {value:.4g} {units.get(name, '')}".rstrip()
-        case Unlock(name=name):
-            return f"{name} unlocked"
-        case SetAlpha(alpha=alpha):
-            return f"α set to {alpha:g}"
-        case SetProjection(projection=projection):
-            return f"projection set to {projection}"
-        case InjectDesign(phi=phi):
-            return f"design set to {phi_in_words(phi, space)}"
-        case Pause():
-            return "paused"
-        case Resume():
-            return "resumed"
-        case StepIteration():
-            return "one step"
-        case Stop():
-            return "stopped"
-        case Checkpoint():
-            return "checkpoint saved"
-
-
-def acknowledgement(event: Acknowledged, space: DesignSpace) -> str:
-    """Return the sentence that tells what became of a command."""
-    what = describe(event.command, space)
-    if not event.accepted:
-        return f"refused: {event.message or 'no reason given'} ({what})"
-    if isinstance(event.command, Pause | Stop | Checkpoint):
-        return f"{what} after iteration {event.iteration}"
-    if isinstance(event.command, Resume):
-        return f"{what} at iteration {event.iteration}"
-    return f"{what}, in force from iteration {event.iteration + 1}"

@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from morph_core.checkpoint import load_checkpoint, save_checkpoint
+from morph_core.explorations.gaussian import Gaussian
 from morph_core.protocol import RunRecord
 from morph_core.run_folder import RunFolder, create_run
 from morph_core.searches.drift import Drift
 from morph_core.state import State, start
 from tests.core.scales import Scales, replaced
 
-METHOD = replaced(search=Drift(pairs=8, designs=8), design_interval=2)
+METHOD = replaced(search=Drift(pairs=8, designs=8), exploration=Gaussian(), design_interval=2)
 NOT_KEPT = {
     "explored": "shown to people with the next evaluation, and drawn anew in every iteration",
-    "noise": "drawn anew in every iteration",
 }
 """Fields that no checkpoint holds, with the reason."""
 
@@ -38,7 +39,7 @@ def networks(hardware: Any) -> dict[str, Any]:
 
 AS_NUMBERS: dict[str, Callable[[Any], Any]] = {
     "phi": lambda phi: phi.tolist(),
-    "directions": lambda directions: None if directions is None else directions.tolist(),
+    "notes": lambda notes: {name: array.tolist() for name, array in notes.arrays.items()},
     "rng": lambda rng: rng.bit_generator.state,
     "control": networks,
     "proxy": networks,
@@ -60,7 +61,7 @@ def lived() -> State:
     state.alpha, state.projection = 7.25, "as_printed"
     state.diverged, state.control_start, state.last_reached = 11, 2, 3
     state.frozen = True
-    state.directions = np.arange(12.0).reshape(2, 2, 3)
+    state.notes.recall({"directions": np.arange(12.0).reshape(2, 2, 3)})
     return state
 
 
@@ -88,6 +89,11 @@ def test_a_field_that_has_changed_survives_a_checkpoint(name: str, folder: RunFo
 def test_what_is_not_kept_is_a_field_with_a_reason() -> None:
     assert set(NOT_KEPT) <= set(FIELDS)
     assert all(NOT_KEPT.values())
+
+
+def test_notes_of_an_exploration_have_the_name_that_checkpoints_of_before_have(folder: RunFolder) -> None:
+    save_checkpoint(folder, lived(), 0.0)
+    assert "exploration/directions" in load_file(folder.checkpoint(3) / "weights.safetensors")
 
 
 def test_a_loaded_run_goes_on_as_the_saved_one(folder: RunFolder) -> None:

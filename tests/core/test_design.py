@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.protocol import Parameter
 
@@ -70,3 +71,12 @@ def test_unknown_names_list_the_choices() -> None:
 def test_check_refuses_what_is_no_design(phi: list[float]) -> None:
     with pytest.raises(ValueError, match=r"phi|angle|length"):
         SPACE.check(phi)
+
+
+def test_the_whole_space_is_the_tasks_own_box_with_nothing_locked() -> None:
+    space = make_task("reacher").design_space.with_bound("link_1", 2.0, 3.0).with_lock("link_2", 1.0)
+    whole = space.whole
+    assert np.array_equal([whole.lo, whole.hi], space.hard_box)
+    assert whole.free.all()
+    assert whole.initial[0] == 3.0
+    assert not space.free.all()

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from torch import nn
 
-from morph_core.exploration import Pull, Relabelled, relabel_on_hardware, run_trajectories
+from morph_core.exploration import Notes, Pull, Relabelled, relabel_on_hardware, run_trajectories
 from morph_core.explorations.design import Design
-from morph_core.explorations.gaussian import EpisodicProxy, Gaussian, directions, noise_std
+from morph_core.explorations.gaussian import EpisodicProxy, Gaussian, HeldNoise, directions, noise_std
 from morph_core.explorations.gaussian_iid import GaussianIid, NoisyProxy
 from morph_core.parts import Schedule
 from morph_core.rollout import Rollout
@@ -157,11 +157,13 @@ def test_a_search_that_averages_over_designs_finds_some_under_noise() -> None:
 def layered() -> State:
     """Return a state whose proxy is z = (s_1, 2 s_2), with a last layer of weights [[1, 0, 0], [0, 2, 0]]."""
     state = started()
+    state.notes = HeldNoise()
     state.proxy = proxy([[1.0, 0.0], [0.0, 2.0]])
     state.proxy.proxy.net = nn.Sequential(linear([[1.0, 0.0], [0.0, 2.0]], [0.0, 0.0]))
     return state
 
 
+held = HeldNoise.of
 HALF = np.array([[[0.5, 0.0, 0.0], [0.0, 0.0, 0.25]]], dtype=np.float32)
 NOISE = np.concatenate([HALF, -HALF])
 """Two episodes: the first adds (s_1 / 2, 1 / 4) to z, the second takes them away."""
@@ -227,11 +229,11 @@ def test_pairs_that_hw_phy_can_not_simulate_say_nothing_of_directions() -> None:
 
 def test_episodes_come_in_antithetic_pairs_whose_spread_is_that_of_the_designs() -> None:
     state = layered()
-    state.directions = np.zeros((2, 2, 3))
-    state.directions[0, 0, 0] = state.directions[1, 1, 1] = 1.0
+    held(state).directions = np.zeros((2, 2, 3))
+    held(state).directions[0, 0, 0] = held(state).directions[1, 1, 1] = 1.0
     world = Gaussian().world(Scales(), state, Spread(0.5, 0.0), 4000)
     assert isinstance(world, EpisodicProxy)
-    assert state.noise is world.noise
+    assert held(state).noise is world.noise
     assert np.array_equal(world.noise[:2000], -world.noise[2000:])
     # the scale of the second parameter is 2
     assert world.noise.std(0) == pytest.approx(np.array([[0.5, 0, 0], [0, 1.0, 0]]), rel=0.05)
@@ -240,8 +242,8 @@ def test_episodes_come_in_antithetic_pairs_whose_spread_is_that_of_the_designs()
 def test_before_the_first_rollout_directions_come_from_the_whole_workspace() -> None:
     state = layered()
     Gaussian().world(Scales(), state, Spread(0.5, 0.0), 4)
-    assert state.directions is not None
-    assert np.allclose(state.directions[0], [[1, 0, 0], [0, 0, 0]], atol=1e-3)
+    assert held(state).directions is not None
+    assert np.allclose(held(state).directions[0], [[1, 0, 0], [0, 0, 0]], atol=1e-3)
 
 
 def test_directions_are_fitted_anew_on_the_steps_alive_of_each_rollout() -> None:
@@ -250,12 +252,12 @@ def test_directions_are_fitted_anew_on_the_steps_alive_of_each_rollout() -> None
     s[0, :, :2] = [[1, 0], [0, 1], [9, 9]]
     rollout = trajectories([[0.0] * 3], [[1, 1, 0]], s=s)
     Gaussian().prepare(Scales(), state, Spread(0.5, 0.0), rollout)
-    assert state.directions is not None
+    assert held(state).directions is not None
     assert state.relabelled_steps == 4 * 2048
-    told = state.directions.copy()
+    told = held(state).directions.copy()
     state.frozen = True
     Gaussian().prepare(Scales(), state, Spread(0.5, 0.0), trajectories([[1.0]], [[1]]))
-    assert np.array_equal(state.directions, told)
+    assert np.array_equal(held(state).directions, told)
     # on (1, 0) and (0, 1) alone the bias may stand in for half of each; the values there are what is fitted
     z = state.hw_nn.last_features(np.array([[1.0, 0, 0], [0, 1.0, 0]]), np.zeros((2, 2))) @ told[0, 0]
     assert np.allclose(z, [1, 0], atol=1e-2)
@@ -274,7 +276,7 @@ def test_a_world_tested_at_the_end_of_moves_is_the_same_but_for_its_outline() ->
 @pytest.mark.parametrize(("credit", "expected"), [("episode", ROOT_HALF), ("step", 5.0)])
 def test_the_pull_is_in_units_of_the_noise_at_each_pair(credit: Any, expected: float) -> None:
     state = layered()
-    state.noise = NOISE
+    held(state).noise = NOISE
     pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])  # m = (2, 2), sigma = (1, .25)
     gaussian = Gaussian(credit=credit, clip_coef=9.0)
     pull = gaussian.pull(state, trajectories([[1.0, 0.0]], [[1, 1]]), pairs, np.array([5.0, 0.0], dtype=np.float32))
@@ -287,7 +289,7 @@ def test_the_pull_is_in_units_of_the_noise_at_each_pair(credit: Any, expected: f
 @pytest.mark.parametrize(("largest", "flows"), [(1.1, False), (1.3, True)])
 def test_where_the_advantage_is_negative_the_ratio_is_clipped_from_above(largest: float, flows: bool) -> None:
     state = layered()
-    state.noise = NOISE
+    held(state).noise = NOISE
     pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])
     state.hw_nn.proxy.net[0].weight.data[0, 0] = 0.71  # pyright: ignore - m was (1.42, 2), so that log r = 1.248
     gaussian = Gaussian(credit="step", largest_log_ratio=largest)
@@ -302,7 +304,7 @@ def test_where_the_advantage_is_negative_the_ratio_is_clipped_from_above(largest
 )
 def test_the_ratio_under_the_held_noise_is_clipped_as_ppo_does(m: float, advantage: float, flows: bool) -> None:
     state = layered()
-    state.noise = NOISE
+    held(state).noise = NOISE
     pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])  # m was (2, 2), and the noise's std there is (1, 1/4)
     pull = Gaussian(credit="step", clip_coef=0.6).pull(
         state, trajectories([[1.0]], [[1]]), pairs, np.array([advantage], dtype=np.float32)
@@ -314,7 +316,7 @@ def test_the_ratio_under_the_held_noise_is_clipped_as_ppo_does(m: float, advanta
 
 def test_under_the_held_noise_each_pair_has_its_own_ratio() -> None:
     state = layered()
-    state.noise = NOISE
+    held(state).noise = NOISE
     pairs = pairs_of([[2, 1]] * 2, [[3.0, 2.0], [2.5, 2.0]], [[2.0, 2.0]] * 2)
     pairs = dataclasses.replace(pairs, row=np.array([0, 1]))
     advantage = np.array([1.0, 3.0], dtype=np.float32)
@@ -329,7 +331,7 @@ def test_under_the_held_noise_each_pair_has_its_own_ratio() -> None:
 )
 def test_d_is_measured_in_units_of_the_noise(settings: dict[str, Any], frozen: bool, weight: Any) -> None:
     state = layered()
-    state.noise = None if frozen else NOISE
+    held(state).noise = None if frozen else NOISE
     pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])
     metric = Gaussian(spread_pairs=6, **settings).metric(Scales(), state, pairs, Multiplied(np.array([3.0, 5.0])))
     assert metric.weight == (None if weight is None else pytest.approx(np.array(weight)))
@@ -375,15 +377,22 @@ def test_phi_freezes_on_the_success_on_hw_phy(level: float, frozen: bool, told: 
     assert state.env_steps == (3 * 2 + 1 * 3 if tried else 0)
 
 
+def test_the_gaussian_exploration_needs_its_notes() -> None:
+    state = layered()
+    state.notes = Notes()
+    with pytest.raises(ValueError, match="the exploration gaussian needs the notes that it made"):
+        Gaussian().world(Scales(), state, Spread(0.5, 0.0), 4)
+
+
 @pytest.mark.parametrize("finish", ["hw_phy", "proxy"])
 def test_once_phi_is_frozen_nothing_is_explored_and_nothing_pulls(finish: Any) -> None:
     state = layered()
-    state.frozen, state.phi, state.noise = True, np.array([3.0, 5.0]), NOISE
+    state.frozen, state.phi, held(state).noise = True, np.array([3.0, 5.0]), NOISE
     gaussian = Gaussian(finish=finish)
     world = gaussian.world(Scales(), state, Spread(0.0, 0.0), 2)
     z = world(np.array([[2.0, 1.0, 0.0]] * 2), np.zeros((2, 2)))
     assert z.tolist() == [[6.0, 5.0] if finish == "hw_phy" else [2.0, 2.0]] * 2
-    assert state.noise is None
+    assert held(state).noise is None
     pairs = pairs_of([[2, 1]], [[3.0, 2.0]], [[2.0, 2.0]])
     pull = gaussian.pull(state, trajectories([[1.0]], [[1]]), pairs, np.array([1.0], dtype=np.float32))
     assert pull(np.ones((1, 2), dtype=np.float32), np.array([0])).tolist() == [[0.0, 0.0]]

@@ -19,7 +19,7 @@ from morph_core import protocol
 from morph_core.catalogue import make_method, make_task
 from morph_core.checkpoint import load_newest
 from morph_core.history import History
-from morph_core.protocol import AnyCommand, AnyEvent, StateChanged
+from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, StateChanged
 from morph_core.run_folder import EventLog, RunFolder, read_episode
 from morph_core.searches.cma import Cma
 from morph_core.state import start
@@ -37,6 +37,12 @@ def train(folder: RunFolder, *arguments: str) -> History:
     _, errors = trainer.communicate(timeout=200)
     assert trainer.returncode == 0, errors
     return History(folder)
+
+
+def beats_of(folder: RunFolder) -> int | None:
+    """Return which process wrote the heartbeat; None as long as there is none."""
+    beat = folder.heartbeat()
+    return beat.pid if beat else None
 
 
 def wait_for(history: History, claim: Callable[[], bool], seconds: float = 60) -> None:
@@ -178,6 +184,9 @@ def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp
     trainer.wait()
 
     trainer = spawn(folder)
+    wait_for(history, lambda: beats_of(folder) == trainer.pid and history.status == "paused")
+    assert history.iteration == 1
+    folder.send(protocol.Resume())
     wait_for(history, lambda: history.iteration >= 3)
     folder.send(protocol.Stop())
     assert trainer.wait(30) == 0
@@ -186,6 +195,41 @@ def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp
     assert (history.progress[-1].alpha, history.progress[-1].projection) == (3.5, "one_sided")
     assert history.phi[1] == 1.25
     assert History(folder).design_space.parameters[0].hi == 2.0
+
+
+def test_a_paused_run_that_a_cluster_ends_comes_back_paused_until_a_user_lets_it_go_on(tmp_path: Path) -> None:
+    folder = make_run(tmp_path, iterations=4)
+    folder.send(protocol.StepIteration())
+    history = History(folder)
+    for _ in range(2):
+        trainer = spawn(folder)
+        wait_for(history, lambda: beats_of(folder) == trainer.pid and history.status == "paused")  # noqa: B023
+        trainer.terminate()  # preempted, or the time limit: nobody has said Stop
+        assert trainer.wait(30) == 0
+        history.poll()
+        assert (history.status, history.iteration) == ("stopped", 1)
+    folder.send(protocol.Resume())
+    assert train(folder).status == "finished"
+
+
+@pytest.mark.parametrize(
+    ("commands", "paused"),
+    [
+        ([], False), ([protocol.Pause()], True), ([protocol.StepIteration()], True),
+        ([protocol.Pause(), protocol.SetAlpha(2.0), protocol.Checkpoint()], True),
+        ([protocol.Pause(), protocol.Resume()], False), ([protocol.Resume(), protocol.Pause()], True),
+        ([protocol.Pause(), protocol.Stop()], False),
+    ],
+)  # fmt: skip
+def test_a_pause_holds_until_the_run_is_resumed_or_stopped(
+    tmp_path: Path, commands: list[AnyCommand], paused: bool
+) -> None:
+    folder = make_run(tmp_path)
+    log = EventLog(folder)
+    for number, command in enumerate(commands):
+        log.append(Acknowledged(id=number, iteration=0, accepted=True, command=command, message=""))
+    log.close()
+    assert History(folder).paused_by_user == paused
 
 
 def test_a_steered_run_can_be_replayed_from_its_log(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Run folders, a stand-in trainer and a real server for the studio's tests."""
 
 import contextlib
+import io
 import os
 import signal
 import socket
@@ -13,26 +14,32 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import httpx
+import msgspec
 import numpy as np
 import pytest
 import uvicorn
 import viser
 from fastapi import FastAPI
 
-from morph_core.catalogue import make_method, make_task
+from morph_core.catalogue import make_method, make_task, read_method
 from morph_core.config import recorded
 from morph_core.history import History
 from morph_core.protocol import FORMAT, AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
+from morph_core.what_if import Measured
 from studio.app import create_app
+from studio.branches import Member
 from studio.bridge import MAX_MESSAGE
+from studio.cancellation import Cancellation
 from studio.export.bundle import Bundle
 from studio.export.check import Check
 from studio.export.design_file import Design, Value
+from studio.new_run import StartRun
 from studio.runs import Runs
 from studio.settings import Settings
-from studio.viewer import StartRequest, Viewer
+from studio.viewer import Viewer
 from studio.viewer.take import Take
+from studio.what_if import SweepPoint, WhatIf, WhatIfs, Wish, sweep_designs
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "a-token-of-the-tests"
@@ -168,16 +175,79 @@ def eventually(claim: Callable[[], object], seconds: float = 10.0) -> object:
 
 
 @dataclass
+class Oracle:
+    """Answers to what-if questions without a policy: success is the first entry of phi over its highest value."""
+
+    warm: int = 0
+    asked: list[Wish] = field(default_factory=list)
+    refusal: str | None = None
+    patience: float = 0.0
+    """Seconds that an answer takes."""
+
+    def warm_up(self) -> None:
+        self.warm += 1
+
+    def evaluate(
+        self,
+        history: History,
+        wish: Wish,
+        cancellation: Cancellation,
+        on_played: Callable[[bytes], None] | None = None,
+    ) -> WhatIf:
+        self.asked.append(wish)
+        if self.refusal:
+            raise ValueError(self.refusal)
+        phi = wish.phi
+        assert isinstance(phi, list)
+        if on_played:
+            arrays = io.BytesIO()
+            np.savez(arrays, qpos=np.zeros((4, len(phi))), phi=np.array(phi))
+            on_played(arrays.getvalue())
+        eventually(lambda: cancellation.is_set, self.patience)
+        cancellation.check()
+        named = dict(zip(history.design_space.names, phi, strict=True))
+        return WhatIf(
+            **msgspec.structs.asdict(self.measured(history, phi)), run=history.folder.id, iteration=int(wish.design),
+            policy_iteration=2, note="", policy=wish.policy, seed=0, phi=named,
+        )  # fmt: skip
+
+    def sweep(self, history: History, wish: Wish, cancellation: Cancellation) -> Iterator[SweepPoint]:
+        phi = wish.phi
+        assert isinstance(phi, list)
+        designs = sweep_designs(history.design_space.whole, np.array(phi))
+        for number, (i, other) in enumerate(designs, 1):
+            p = history.record.parameters[i]
+            eventually(lambda: cancellation.is_set, self.patience)
+            cancellation.check()
+            known = {"parameter": p.name, "unit": p.unit, "value": float(other[i])}
+            measured = self.measured(history, other.tolist())
+            yield SweepPoint(number=number, of=len(designs), measured=measured, **known)
+
+    @staticmethod
+    def measured(history: History, phi: list[float]) -> Measured:
+        share = phi[0] / history.record.parameters[0].hard_hi
+        return Measured(
+            episodes=128, success=share, success_interval=(share / 2, share), episode_return=-share,
+            return_interval=(-1.0, 0.0), reward_terms={"distance": -share}, milestones={}, diverged=0,
+        )  # fmt: skip
+
+
+@dataclass
 class Page:
     """A viewer, and what it has asked for."""
 
     server: viser.ViserServer
     viewer: Viewer
     commands: list[tuple[str, AnyCommand]] = field(default_factory=list)
-    started: list[StartRequest] = field(default_factory=list)
+    started: list[StartRun] = field(default_factory=list)
     resumed: list[str] = field(default_factory=list)
     exported: list[tuple[str, str, list[str]]] = field(default_factory=list)
+    changed: list[list[float]] = field(default_factory=list)
+    """Designs changed by hand that were exported."""
+    branched: list[tuple[str, int, list[float]]] = field(default_factory=list)
+    answers: Oracle = field(default_factory=Oracle)
     refusal: str | None = None
+    family: Member | None = None
 
     def show(self, folder: RunFolder, status: Status | None = None, message: str = "") -> History:
         history = History(folder)
@@ -201,22 +271,31 @@ def page() -> Iterator[Page]:
             raise ValueError(page.refusal)
         ask()
 
-    def start(request: StartRequest) -> str:
+    def start(request: StartRun) -> str:
         heed(lambda: page.started.append(request))
         return NAME
 
-    def export(run_id: str, which: str, formats: Sequence[str]) -> Bundle:
-        heed(lambda: page.exported.append((run_id, which, list(formats))))
+    def export(run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None) -> Bundle:
+        heed(lambda: page.exported.append((run_id, which, list(formats or []))))
+        page.changed += [phi] if phi is not None else []
         return Bundle("design.zip", {"robot.xml": b"xml", "robot.urdf": b"urdf"}, [Check("masses", 0.0, 0.0)], b"zip")
 
+    def branch(run_id: str, iteration: int, phi: list[float]) -> str:
+        heed(lambda: page.branched.append((run_id, iteration, phi)))
+        return NAME
+
+    answers = Oracle()
     viewer = Viewer(
         server,
-        on_command=lambda run_id, command: heed(lambda: page.commands.append((run_id, command))),
+        on_command=lambda run_id, command, _: heed(lambda: page.commands.append((run_id, command))),
         on_start=start,
         on_resume=lambda run_id: heed(lambda: page.resumed.append(run_id)),
+        on_branch=branch,
         on_export=export,
+        answers=answers,
+        family=lambda _: page.family,
     )
-    page = Page(server, viewer)
+    page = Page(server, viewer, answers=answers)
     yield page
     viewer.stop()
     server.stop()
@@ -228,6 +307,7 @@ class Blackboard:
 
     server: viser.ViserServer
     runs: Runs
+    what_ifs: WhatIfs
     shown: list[tuple[list[str], dict[str, tuple[Status, str]], str | None]] = field(default_factory=list)
     turned_to: list[tuple[str | None, int]] = field(default_factory=list)
     broken: bool = False
@@ -271,8 +351,8 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     """Serve the real application on a free port; end the stand-ins it has started."""
     viewers: list[Blackboard] = []
 
-    def viewer(server: viser.ViserServer, runs: Runs) -> Blackboard:
-        viewers.append(Blackboard(server, runs))
+    def viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Blackboard:
+        viewers.append(Blackboard(server, runs, what_ifs))
         return viewers[0]
 
     listener = socket.create_server(("127.0.0.1", 0))
@@ -315,3 +395,15 @@ def settings(runs_folder: Path, tmp_path: Path) -> Settings:
 def served(settings: Settings) -> Iterator[Served]:
     with serving(settings) as running:
         yield running
+
+
+def add_checkpoint(folder: RunFolder, iteration: int) -> None:
+    """Give a run the checkpoint of an iteration, with the weights of a policy that has learnt nothing."""
+    from morph_core.checkpoint import save_checkpoint  # torch: only where it is needed
+    from morph_core.state import start
+
+    record = folder.record()
+    task = make_task(record.task, record.task_options)
+    state = start(task, read_method(record), 0)
+    state.iteration = iteration
+    save_checkpoint(folder, state, 0.0)

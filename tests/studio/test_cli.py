@@ -24,7 +24,7 @@ from studio.cli import run
 from studio.cli.evaluate import _print_result
 from studio.cli.follow import Outcome, _in_short
 from studio.cli.train import _document
-from studio.new_run import prepare_run
+from studio.new_run import StartRun, prepare_run
 from studio.shelf.marks import Marks, write_marks
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,7 +66,7 @@ def refused(
 @pytest.fixture
 def folder(tmp_path: Path) -> RunFolder:
     """A hand-made run of two iterations out of five, the first the better one."""
-    folder = prepare_run(tmp_path / "runs", task="reacher", seed=3, iterations=5)
+    folder = prepare_run(tmp_path / "runs", StartRun(task="reacher", seed=3, iterations=5))
     log = EventLog(folder)
     log.append(StateChanged(status="running", iteration=0))
     for iteration, success in ((1, 0.75), (2, 0.5)):
@@ -95,16 +95,27 @@ def test_milestones_and_diverged_episodes_are_reported(tmp_path: Path) -> None:
 
 
 def test_an_evaluation_is_printed_with_what_came_before_success(capsys: pytest.CaptureFixture[str]) -> None:
-    score = {"success": 0.25, "episode_return": -1.0, "milestones": {"lifted": 0.75}, "diverged": 0}
-    result = {"run": "r", "iteration": 3, "episodes": 8, "phi": {"length_1": 0.2}, "sampled": score}
+    score = {"success": 0.25, "success_interval": [0.07, 0.59], "episode_return": -1.0, "return_interval": [-1.5, -0.5]}
+    score |= {"milestones": {"lifted": 0.75}, "diverged": 0}
+    result = {
+        "run": "r",
+        "iteration": 3,
+        "policy_iteration": 3,
+        "episodes": 8,
+        "phi": {"length_1": 0.2},
+        "sampled": score,
+    }
     _print_result(result | {"deterministic": score})
     assert capsys.readouterr().out.splitlines()[1].split() == [
-        "policy,", "8", "episodes", "success", "lifted", "return"
+        "policy,", "8", "episodes", "success", "[95", "%]", "lifted", "return", "[95", "%]"
     ]  # fmt: skip
     _print_result(result | {"deterministic": score | {"diverged": 2}})
     heading, *rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
     assert heading[-1] == "diverged"
-    assert rows == [["sampled", "0.250", "0.750", "-1.000", "0"], ["deterministic", "0.250", "0.750", "-1.000", "2"]]
+    scores = ["0.250", "[0.07,", "0.59]", "0.750", "-1.000", "[-1.50,", "-0.50]"]
+    assert rows == [["sampled", *scores, "0"], ["deterministic", *scores, "2"]]
+    _print_result(result | {"deterministic": score, "iteration": 5})
+    assert "iteration 5 has no checkpoint: the policy is that of iteration 3" in capsys.readouterr().out
 
 
 def test_help_lists_the_commands_within_a_second() -> None:
@@ -321,6 +332,17 @@ def test_a_design_is_handed_to_a_run_that_is_at_work_and_to_no_other(folder: Run
         ("export RUN --design newest", "choose best, latest or an iteration"),
         ("evaluate RUN --design 9", "choose best, latest or 0 to 2"),
         ("evaluate RUN --episodes 0", "--episodes must be at least 1"),
+        ("evaluate RUN --phi 1 2", "--phi: phi has 2 entries; 5 are needed: link_1"),
+        ("evaluate RUN --phi link_1=9", "link_1 must lie inside [0.05, 5] m, not 9"),
+        ("evaluate RUN --phi link_1=-1", "link_1 must lie inside [0.05, 5] m, not -1"),
+        ("evaluate RUN --phi link_1=nan", "link_1 must be finite"),
+        ("evaluate RUN --phi lnk_1=1", '(did you mean "link_1"?)'),
+        ("evaluate RUN --phi link_1=long", '"long" is no number'),
+        ("evaluate RUN --phi link_1=1 link_1=2", "named twice"),
+        ("evaluate RUN --phi link_1=1 2 3 4 5", "not both"),
+        ("evaluate RUN --phi link_1=1 --phi-from nowhere.json", "choose one of --phi and --phi-from"),
+        ("evaluate RUN --phi link_1=1", "no checkpoint up to iteration 1"),
+        ("evaluate RUN --phi", "--phi"),
         ("evaluate RUN --phi-from nowhere.json", "nowhere.json can't be read"),
         ("import nowhere.json --into RUN", "nowhere.json can't be read"),
         ("import RUN --into RUN --start", "choose one of --into RUN and --start"),

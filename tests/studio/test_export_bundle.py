@@ -26,7 +26,7 @@ from studio.export.bundle import build_bundle
 from studio.export.errors import ExportError
 from studio.export.place import write_bundle
 from studio.export.verify import verify
-from studio.new_run import prepare_run
+from studio.new_run import StartRun, prepare_run
 
 PHIS = {1: [3.0, 2.9, 2.8, 2.7, 2.6], 2: [2.5, 2.0, 1.5, 1.0, 0.05], 3: [2.2, 1.0, 1.6, 2.4, 1.4]}
 
@@ -34,7 +34,7 @@ PHIS = {1: [3.0, 2.9, 2.8, 2.7, 2.6], 2: [2.5, 2.0, 1.5, 1.0, 0.05], 3: [2.2, 1.
 @pytest.fixture
 def history(tmp_path: Path) -> History:
     """A run of three iterations, the second evaluated best; after it link_1 was bounded."""
-    folder = prepare_run(tmp_path / "runs", task="reacher", seed=7, settings={"alpha": 2.0})
+    folder = prepare_run(tmp_path / "runs", StartRun(task="reacher", seed=7, settings={"alpha": 2.0}))
     log = EventLog(folder)
     log.append(StateChanged(status="running", iteration=0))
     log.append(Acknowledged(id=1, iteration=0, accepted=True, command=SetAlpha(3.0)))
@@ -59,6 +59,20 @@ def history(tmp_path: Path) -> History:
 def unpack(content: bytes) -> dict[str, bytes]:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
+
+
+def test_a_design_changed_by_hand_is_exported_under_a_name_that_says_so(history: History) -> None:
+    phi = [2.0, 1.0, 1.5, 2.5, 4.5]  # link_1 outside the bounds that are in force, inside the task's own box
+    bundle = build_bundle(history, "3", ["mjcf", "urdf"], phi)
+    files = unpack(bundle.content)
+    assert bundle.name == f"{history.folder.id}-000003-changed-by-hand.zip"
+    design = json.loads(files["design.json"])
+    assert (design["design"], design["iteration"]) == ("3, changed by hand", 3)
+    assert [p["value"] for p in design["parameters"]] == phi
+    assert all(check.passed for check in verify(files))
+    for wrong, said in (([9.0] * 5, "outside"), ([1.0], "5 are needed"), ([float("nan")] * 5, "outside")):
+        with pytest.raises(ExportError, match=said):
+            build_bundle(history, "3", None, wrong)
 
 
 def test_the_zip_holds_robot_scene_design_and_provenance(history: History) -> None:
@@ -143,7 +157,7 @@ def test_a_recorded_design_outside_the_task_is_refused(history: History, phi: li
     log = EventLog(history.folder)
     log.append(Progress(iteration=4, env_steps=9, phi=phi, episode_return=0, success=0, policy_std=0.5))
     history.poll()
-    with pytest.raises(ExportError, match="recorded design"):
+    with pytest.raises(ExportError, match=r"the design (has|is)|of the design"):
         build_bundle(history, "latest")
 
 

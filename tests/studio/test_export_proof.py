@@ -32,6 +32,7 @@ from studio.export.errors import ExportError
 from studio.export.meshes import three_mf
 from studio.export.policy import Policy, Score
 from studio.export.proof import prove, prove_robot, unpack
+from studio.new_run import StartRun
 from studio.robots.chooser import robot_of
 from studio.robots.parts import Part
 from studio.robots.stl import stl
@@ -404,7 +405,7 @@ def test_a_design_comes_back_from_its_bundle_whatever_the_order(bundle: Bundle) 
     shuffled = msgspec.structs.replace(design, parameters=design.parameters[::-1])
     phi = phi_for(shuffled, "pen_press", task.design_space)
     np.testing.assert_array_equal(phi, design.phi)
-    assert [p.initial for p in starting_from(design, task.design_space)] == phi.tolist()
+    assert [p.initial for p in starting_from(design, StartRun()).parameters or []] == phi.tolist()
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from morph_core.catalogue import make_task
+from morph_core.protocol import Parent
 from studio.cli import run
 from studio.export.design_file import load_design, read_design, starting_from
 from studio.export.errors import ExportError
+from studio.new_run import StartRun
 
 BUNDLE = Path(__file__).parents[1] / "data" / "format_1" / "reacher.zip"
 
@@ -20,8 +21,9 @@ def test_an_old_bundle_is_verified(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_run_can_begin_with_an_old_design() -> None:
     design = load_design(BUNDLE)
-    task = make_task(design.task, design.task_options)
-    assert [p.initial for p in starting_from(design, task.design_space)] == [p.value for p in design.parameters]
+    wish = starting_from(design, StartRun())
+    assert [p.initial for p in wish.parameters or []] == [p.value for p in design.parameters]
+    assert (wish.task, wish.parent) == (design.task, Parent(design.run, design.iteration))
 
 
 def test_a_design_of_a_newer_format_is_refused_with_what_reads_it() -> None:

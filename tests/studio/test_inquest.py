@@ -15,6 +15,7 @@ from morph_core.history import History
 from morph_core.run_folder import RunFolder
 from studio.cli.follow import Outcome, follow
 from studio.inquest import cause_of_death, start_child
+from studio.new_run import StartRun
 from studio.runs import Runs
 
 
@@ -43,7 +44,7 @@ def test_browser_and_command_line_say_the_same_of_a_death(
     runs_folder: Path, mood: str, killed: bool, reason: str
 ) -> None:
     runs = Runs(runs_folder, in_mood(mood))
-    run_id = runs.start(task="reacher")
+    run_id = runs.start(StartRun(task="reacher"))
     followed = make_run(runs_folder, "followed", ended=None)
     if killed:
         kill_when_it_runs(RunFolder(runs_folder / run_id))

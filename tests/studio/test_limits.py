@@ -8,8 +8,8 @@ import pytest
 from conftest import Page
 
 from studio import limits
-from studio.api.messages import ResumeRun, StartRun
-from studio.new_run import prepare_run
+from studio.api.messages import ResumeRun
+from studio.new_run import StartRun, prepare_run
 
 NUMBERS = {"seed": (0, limits.LARGEST_SEED), "iterations": (1, limits.MAX_ITERATIONS)}
 
@@ -29,7 +29,7 @@ def test_the_same_numbers_are_taken_at_every_door(page: Page, tmp_path: Path, na
     for value, allowed in ((lowest, True), (largest, True), (lowest - 1, False), (largest + 1, False), (1.5, False)):
         handle._impl.value = value
         assert taken(page.viewer.start.request) is allowed
-        assert taken(lambda value=value: prepare_run(tmp_path, task="reacher", **{name: value})) is allowed
+        assert taken(lambda value=value: prepare_run(tmp_path, StartRun(task="reacher", **{name: value}))) is allowed
         assert taken(lambda value=value: msgspec.convert({"task": "reacher", name: value}, StartRun)) is allowed
     assert taken(lambda: msgspec.convert({"further": limits.MAX_ITERATIONS}, ResumeRun))
     assert (handle._impl.props.min, handle._impl.props.max) == (lowest, largest)

@@ -16,7 +16,7 @@ from morph_core.catalogue import make_method, make_task
 from morph_core.config import flattened
 from morph_core.protocol import InjectDesign, Lock, Parameter, Pause, SetAlpha, SetBound, StateChanged, Stop
 from morph_core.run_folder import EventLog, RunFolder, RunFolderError
-from studio.new_run import git_state, prepare_run
+from studio.new_run import StartRun, git_state, prepare_run
 from studio.runs import KEPT, Runs
 from studio.trainers import spawn_trainer
 
@@ -26,7 +26,7 @@ SPACE = REACHER.design_space
 
 def begun(runs: Runs, **wishes: Any) -> str:
     """Start a stand-in and wait until it runs."""
-    run_id = runs.start(task="reacher", **wishes)
+    run_id = runs.start(StartRun(task="reacher", **wishes))
     assert eventually(lambda: runs.status(runs.get(run_id))[0] == "running"), runs.status(runs.get(run_id))
     return run_id
 
@@ -42,8 +42,11 @@ def trainer_of(runs: Runs, run_id: str) -> int:
 
 def test_a_prepared_run_records_everything(runs_folder: Path) -> None:
     folder = prepare_run(
-        runs_folder, task="reacher", method="direct", seed=7, iterations=5, settings={"step": 2},
-        task_options={"tunnel": "paper"},
+        runs_folder,
+        StartRun(
+            task="reacher", method="direct", seed=7, iterations=5, settings={"step": 2},
+            task_options={"tunnel": "paper"},
+        ),
     )  # fmt: skip
     record = folder.record()
     assert (record.task, record.method, record.seed, record.iterations) == ("reacher", "direct", 7, 5)
@@ -57,7 +60,7 @@ def test_a_prepared_run_records_everything(runs_folder: Path) -> None:
 
 
 def test_runs_of_the_same_second_get_names_of_their_own(runs_folder: Path) -> None:
-    names = [prepare_run(runs_folder, task="reacher").id for _ in range(5)]
+    names = [prepare_run(runs_folder, StartRun(task="reacher")).id for _ in range(5)]
     assert len(set(names)) == 5
     assert any(name.endswith("-2") for name in names)
 
@@ -86,13 +89,13 @@ def test_a_bad_wish_is_refused_in_words_and_leaves_nothing(
     runs_folder: Path, wish: dict[str, Any], sentence: str
 ) -> None:
     with pytest.raises(ValueError, match=sentence):
-        prepare_run(runs_folder, **{"task": "reacher", **wish})
+        prepare_run(runs_folder, StartRun(**{"task": "reacher", **wish}))
     assert not runs_folder.exists()
 
 
 def test_bounds_locks_and_initial_values_can_be_chosen_inside_the_hard_box(runs_folder: Path) -> None:
     chosen = msgspec.structs.replace(SPACE.parameters[1], lo=1.0, hi=2.0, initial=1.5, locked_at=1.2)
-    record = prepare_run(runs_folder, task="reacher", parameters=[chosen]).record()
+    record = prepare_run(runs_folder, StartRun(task="reacher", parameters=[chosen])).record()
     assert record.parameters[1] == chosen
     assert record.parameters[0] == SPACE.parameters[0]
 
@@ -103,13 +106,14 @@ def test_bounds_locks_and_initial_values_can_be_chosen_inside_the_hard_box(runs_
 def test_parameters_outside_the_task_are_refused(runs_folder: Path, change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="link_"):
         prepare_run(
-            runs_folder, task="reacher", parameters=[msgspec.structs.replace(SPACE.parameters[0], **change)]
-        )  # fmt: skip
+            runs_folder,
+            StartRun(task="reacher", parameters=[msgspec.structs.replace(SPACE.parameters[0], **change)]),
+        )
 
 
 def test_a_widened_hard_box_does_not_reach_the_record(runs_folder: Path) -> None:
     wider = Parameter("link_1", "m", lo=1.0, hi=2.0, initial=1.5, hard_lo=-100.0, hard_hi=100.0)
-    assert prepare_run(runs_folder, task="reacher", parameters=[wider]).record().parameters[0].hard_hi == 5.0
+    assert prepare_run(runs_folder, StartRun(task="reacher", parameters=[wider])).record().parameters[0].hard_hi == 5.0
 
 
 # --- trainers ---------------------------------------------------------------------------------------------------------
@@ -128,7 +132,7 @@ def test_a_started_run_is_shown_obeys_and_stops(runs_folder: Path) -> None:
 
 def test_a_run_is_starting_until_its_trainer_speaks(runs_folder: Path) -> None:
     runs = Runs(runs_folder, stand_in)
-    run_id = runs.start(task="reacher")
+    run_id = runs.start(StartRun(task="reacher"))
     assert runs.summary(run_id).status == "starting"
 
 
@@ -151,14 +155,14 @@ def test_a_trainer_is_adopted_after_a_restart_of_the_server(runs_folder: Path) -
 
 def test_a_stillborn_trainer_is_told_with_the_last_line_of_its_log(runs_folder: Path) -> None:
     runs = Runs(runs_folder, in_mood("stillborn"))
-    run_id = runs.start(task="reacher")
+    run_id = runs.start(StartRun(task="reacher"))
     assert eventually(lambda: runs.summary(run_id).status == "failed")
     assert runs.summary(run_id).reason == "ImportError: no module named torch, says the stand-in"
 
 
 def test_a_trainer_that_dies_at_work_is_told_at_once(runs_folder: Path) -> None:
     runs = Runs(runs_folder, in_mood("dying"))
-    run_id = runs.start(task="reacher")
+    run_id = runs.start(StartRun(task="reacher"))
     assert eventually(lambda: runs.summary(run_id).status == "failed")
     assert "loss is NaN" in runs.summary(run_id).reason
 
@@ -341,7 +345,7 @@ def test_a_run_of_a_hand_whose_fingers_stand_in_each_other_is_not_started(runs_f
     phi = [math.pi / 2, *[0.0] * 3, *[0.2] * 4]
     moved = [msgspec.structs.replace(p, initial=v) for p, v in zip(hand.design_space.parameters, phi, strict=True)]
     with pytest.raises(ValueError, match="fingers 1 and 2 stand 0 mm apart"):
-        Runs(runs_folder, stand_in).start(task="pen_press", parameters=moved)
+        Runs(runs_folder, stand_in).start(StartRun(task="pen_press", parameters=moved))
     assert not list(runs_folder.glob("*"))
 
 

@@ -177,9 +177,10 @@ def test_painting_and_posing_change_only_what_they_name(server: viser.ViserServe
     assert box.handle.batched_colors[1].tolist() != [255, 255, 255]
 
 
-def test_a_flat_scene_is_seen_from_above_and_whole() -> None:
+@pytest.mark.parametrize("aspect", [0.75, 0.46])
+def test_a_flat_scene_is_seen_from_above_and_whole(aspect: float) -> None:
     low, high = np.array([-8.0, -1.0, -0.1]), np.array([4.0, 10.0, 0.1])
-    fov, aspect = FIELD_OF_VIEW, 0.75
+    fov = FIELD_OF_VIEW
     position, target = camera(low, high, aspect)
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, [0, 0, 1])
@@ -191,3 +192,15 @@ def test_a_flat_scene_is_seen_from_above_and_whole() -> None:
         depth = seen @ forward
         assert abs(seen @ right) / depth <= np.tan(fov / 2) * aspect
         assert abs(seen @ up) / depth <= np.tan(fov / 2)
+
+
+def test_in_a_narrow_page_a_scene_is_seen_above_the_panel() -> None:
+    low, high = np.array([-8.0, -1.0, -0.1]), np.array([4.0, 10.0, 0.1])
+    heights = []
+    for aspect in (0.75, 0.46):
+        position, target = camera(low, high, aspect)
+        forward = (target - position) / np.linalg.norm(target - position)
+        up = np.cross(np.cross(forward, [0, 0, 1]) / np.linalg.norm(np.cross(forward, [0, 0, 1])), forward)
+        middle = (low + high) / 2 - position
+        heights.append((middle @ up) / (middle @ forward) / np.tan(FIELD_OF_VIEW / 2))
+    assert heights == pytest.approx([0.0, 0.45], abs=0.05)

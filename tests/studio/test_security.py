@@ -176,11 +176,25 @@ def test_the_link_becomes_a_cookie_that_scripts_and_other_sites_never_see(shared
         assert browser.get("/api/runs").status_code == 200
 
 
-def test_the_page_without_a_token_asks_for_it_in_words(shared: Served) -> None:
-    refused = PLAIN.get(f"http://127.0.0.1:{shared.port}/", params={"token": "<script>alert(1)</script>"})
+def test_a_link_with_a_token_leads_to_the_page_that_it_names(shared: Served) -> None:
+    with httpx.Client(base_url=f"http://127.0.0.1:{shared.port}") as browser:
+        entered = browser.get("/study", params={"token": TOKEN})
+        assert (entered.status_code, entered.headers["location"]) == (303, "/study")
+        assert browser.get("/study").status_code == 200
+    assert (
+        "url=/study"
+        in PLAIN.get(f"http://127.0.0.1:{shared.port}/study", headers={"Sec-Fetch-Site": "cross-site"}).text
+    )
+
+
+@pytest.mark.parametrize("page", ["/", "/study"])
+def test_the_page_without_a_token_asks_for_it_in_words(shared: Served, page: str) -> None:
+    refused = PLAIN.get(f"http://127.0.0.1:{shared.port}{page}", params={"token": "<script>alert(1)</script>"})
     assert refused.status_code == 401
     assert "paste its token" in refused.text
     assert "alert(1)" not in refused.text
+    assert "color-scheme:light dark" in refused.text
+    assert 'name="viewport"' in refused.text
 
 
 def test_a_browser_from_another_site_is_told_to_reload_once(shared: Served) -> None:

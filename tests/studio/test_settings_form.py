@@ -3,9 +3,9 @@
 import pytest
 from conftest import Page
 
-from morph_core.catalogue import METHODS, make_method, make_task
+from morph_core.catalogue import EXPLORATIONS, METHODS, SEARCHES, make_method, make_task
 from morph_core.presets import PRESETS
-from studio.fields import chosen_fields
+from studio.fields import chosen_fields, told
 
 
 def shown(page: Page) -> set[str]:
@@ -22,6 +22,25 @@ def test_every_setting_of_the_method_is_there_and_no_other(page: Page, task: str
     assert shown(page) == {field.name for field in chosen_fields(make_method(method, made), made)}
     form.submit(None)
     assert (page.started[0].method, page.started[0].settings) == (method, {})
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_every_setting_is_explained_by_its_docstring(page: Page, method: str) -> None:
+    form = page.viewer.start
+    form.method.value = method
+    made = make_task("reacher")
+    hints = {name: handle.hint for name, handle in (form.settings._in_sight | form.settings._more).items()}
+    for field in chosen_fields(make_method(method, made), made):
+        assert hints[field.name] == told(field)
+        assert field.doc
+
+
+def test_the_hints_name_every_choice_of_an_exploration_and_a_search(page: Page) -> None:
+    form = page.viewer.start.settings
+    for handle, known in ((form.exploration, EXPLORATIONS), (form.search, SEARCHES)):
+        ours = [choice for choice in handle.options if known[choice].__module__.startswith("morph_core.")]
+        assert handle.hint is not None
+        assert all(f"`{choice}`" in handle.hint for choice in ours)
 
 
 def test_another_search_brings_its_own_settings_with_what_the_task_has_tuned(page: Page) -> None:

@@ -18,10 +18,11 @@ from fastapi import FastAPI
 from hypothesis import given
 from hypothesis import strategies as st
 
-from morph_core.protocol import Acknowledged, Heartbeat, Pause, StateChanged, Stop
+from morph_core.protocol import Acknowledged, AnyCommand, Heartbeat, Pause, Resume, StateChanged, Stop
 from morph_core.run_folder import LAUNCH, EventLog, HeartbeatFile, RunFolder
 from studio.app import create_app
 from studio.cli import run
+from studio.new_run import StartRun
 from studio.runs import Runs
 from studio.settings import Settings
 from studio.study import slurm as module
@@ -406,7 +407,7 @@ def settled(runs: Runs, run_id: str) -> tuple[str, str]:
 
 
 def test_a_start_goes_to_slurm_and_shows_why_it_waits(cluster: Cluster, runs: Runs) -> None:
-    run_id = runs.start(task="reacher")
+    run_id = runs.start(StartRun(task="reacher"))
     assert "--partition=short" in cluster.calls("sbatch")[0]
     assert runs.summary(run_id).status == "queued"
     cluster.say(t42_0="PENDING||Resources")
@@ -421,13 +422,13 @@ def test_a_start_goes_to_slurm_and_shows_why_it_waits(cluster: Cluster, runs: Ru
 def test_a_start_that_slurm_refuses_leaves_no_run(cluster: Cluster, runs: Runs) -> None:
     cluster.refuse(sbatch=["sbatch: error: invalid partition specified: short"])
     with pytest.raises(ValueError, match="sinfo -s lists"):
-        runs.start(task="reacher")
+        runs.start(StartRun(task="reacher"))
     assert list(runs.folder.iterdir()) == []
     assert runs.shown is None
 
 
 def test_a_stop_takes_a_waiting_run_out_of_the_queue_and_resume_puts_it_back(cluster: Cluster, runs: Runs) -> None:
-    run_id = runs.start(task="reacher")
+    run_id = runs.start(StartRun(task="reacher"))
     with pytest.raises(ValueError, match="waits in the queue"):
         runs.send(run_id, Pause())
     with pytest.raises(ValueError, match="in Slurm's queue already"):
@@ -455,7 +456,7 @@ def test_a_stop_takes_a_waiting_run_out_of_the_queue_and_resume_puts_it_back(clu
 def test_what_slurm_knows_counts_where_the_folder_can_not_tell(
     cluster: Cluster, runs: Runs, folder_says: str, slurm_says: str, shown: str
 ) -> None:
-    run_id = runs.start(task="reacher")
+    run_id = runs.start(StartRun(task="reacher"))
     end(runs.get(run_id).folder, "running" if folder_says == "lost" else folder_says)
     if folder_says == "lost":
         HeartbeatFile(runs.get(run_id).folder).write(
@@ -469,7 +470,7 @@ def test_what_slurm_knows_counts_where_the_folder_can_not_tell(
 def test_a_run_of_slurms_goes_back_to_slurm_whoever_resumes_it(
     cluster: Cluster, runs: Runs, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_id = runs.start(task="reacher", iterations=9)
+    run_id = runs.start(StartRun(task="reacher", iterations=9))
     end(runs.get(run_id).folder, "stopped")
     cluster.say(t42_0="COMPLETED||None")
     Runs(runs.folder, never).resume(run_id)
@@ -488,8 +489,29 @@ def test_a_run_of_slurms_goes_back_to_slurm_whoever_resumes_it(
     assert "remove" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("by_command_line", [True, False])
+@pytest.mark.parametrize("said", [[Pause()], [Pause(), Stop()], []])
+def test_who_resumes_a_run_takes_its_pause_back(
+    cluster: Cluster, runs: Runs, said: list[AnyCommand], by_command_line: bool
+) -> None:
+    run_id = runs.start(task="reacher", iterations=9)
+    folder = runs.get(run_id).folder
+    log = EventLog(folder)
+    for number, command in enumerate(said, start=1):
+        log.append(Acknowledged(id=number, iteration=0, accepted=True, command=command))
+    log.close()
+    end(folder, "stopped")
+    cluster.say(t42_0="COMPLETED||None")
+    if by_command_line:
+        assert run(["train", "--runs", str(runs.folder), "--resume", run_id]) == 0
+    else:
+        Runs(runs.folder, never).resume(run_id)
+    taken_back = [order.command for _, order in folder.pending() if order]
+    assert taken_back == ([Resume()] if said == [Pause()] else [])
+
+
 def test_the_list_of_runs_says_which_wait(runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
-    run_id = runs.start(task="reacher")
+    run_id = runs.start(StartRun(task="reacher"))
     assert run(["runs", "--runs", str(runs.folder), "--json"]) == 0
     [line] = json.loads(capsys.readouterr().out)
     assert (line["id"], line["status"]) == (run_id, "queued")
@@ -497,7 +519,7 @@ def test_the_list_of_runs_says_which_wait(runs: Runs, capsys: pytest.CaptureFixt
 
 
 def test_showing_runs_never_waits_for_slurm(cluster: Cluster, runs: Runs) -> None:
-    run_id = runs.start(task="reacher")
+    run_id = runs.start(StartRun(task="reacher"))
     slow = cluster.path / "bin" / "squeue"
     slow.write_text("#!/bin/sh\nsleep 5\n")
     runs._slurm._queue.forget()

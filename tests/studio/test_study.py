@@ -11,35 +11,42 @@ from pathlib import Path
 
 import pytest
 from conftest import eventually
+from msgspec import structs
 from rich.console import Console
 from test_study_local import make_study, spawner
 
 from morph_core.history import History
-from morph_core.protocol import Evaluation, Progress, StateChanged
-from morph_core.run_folder import EventLog, RunFolder, process_alive
+from morph_core.protocol import Acknowledged, AnyEvent, Checkpoint, Evaluation, Progress, StateChanged, Status, encode
+from morph_core.run_folder import RunFolder, process_alive
 from studio.cli import run
 from studio.cli.study import _Bars, _counts, _Lines, table_of
+from studio.cli.terminal import Screen
 from studio.study import launchers
 from studio.study.local import Local, read_launch
 from studio.study.plan import Study, read_study
-from studio.study.standing import RunStanding, Standings, by_variant, seconds_left, share_done
+from studio.study.report.results import read_results
+from studio.study.standing import RunStanding, Standings, Work, by_variant, seconds_left, share_done, work_of
 
 ROOT = Path(__file__).parents[2]
 WORDS = ["reacher", "--methods", "plain:no_hw_opt,trajectories=8", "--seeds", "0-1", "--env-steps", "1000"]
 
 
 def wrote(directory: Path, run_name: str, success: Sequence[float], final: float | None = None) -> None:
-    """Let a run have an evaluation after each iteration of 400 environment steps and 2 CPU seconds."""
-    log = EventLog(RunFolder(directory / run_name))
-    log.append(StateChanged(status="starting", iteration=0))
+    """Let a run have an evaluation after each iteration of 400 environment steps, 2 CPU seconds and 3 s by the wall."""
+    events: list[AnyEvent] = [StateChanged(status="starting", iteration=0, time=100.0)]
     for i, share in enumerate(success, start=1):
-        at = {"iteration": i, "env_steps": 400 * i, "phi": [1.0] * 5, "cpu_seconds": 2.0 * i}
-        log.append(Progress(episode_return=0, success=0, policy_std=1, relabelled_steps=7, search_steps=9, **at))
-        log.append(evaluation(share, **at))
+        at = {"iteration": i, "env_steps": 400 * i, "phi": [1.0] * 5, "cpu_seconds": 2.0 * i, "time": 100 + 3.0 * i}
+        events.append(Progress(episode_return=0, success=0, policy_std=1, relabelled_steps=7, search_steps=9, **at))
+        events.append(evaluation(share, **at))
     if final is not None:
-        log.append(evaluation(final, final=True, episodes=256, **at))
-        log.append(StateChanged(status="finished", iteration=len(success)))
-    log.close()
+        events.append(evaluation(final, final=True, episodes=256, **at))
+        events.append(StateChanged(status="finished", iteration=len(success), time=at["time"]))
+    lines = (encode(structs.replace(event, seq=seq)) + b"\n" for seq, event in enumerate(events, start=1))
+    RunFolder(directory / run_name).events.write_bytes(b"".join(lines))
+
+
+def acknowledged(iteration: int, time: float) -> Acknowledged:
+    return Acknowledged(id=1, iteration=iteration, accepted=True, command=Checkpoint(), message="", time=time)
 
 
 def evaluation(share: float, **at: object) -> Evaluation:
@@ -57,18 +64,18 @@ def test_a_line_says_how_many_seeds_solved_it_after_what_and_what_success_was_at
     names = [planned.run for planned in study.runs]
     wrote(tmp_path / "study", names[0], [0.5, 0.97, 1.0], 0.9)
     wrote(tmp_path / "study", names[1], [0.96, 0.5, 0.5], 0.5)
-    wrote(tmp_path / "study", names[2], [0.1, 0.2, 0.3], 0.96)  # what counts is an evaluation on the way
+    wrote(tmp_path / "study", names[2], [0.1, 0.2, 0.3], 0.96)  # solved at its end
     wrote(tmp_path / "study", names[3], [0.99])  # still at it
     found = standings(tmp_path / "study", study)
     (line,) = by_variant(study, found)
-    assert (line.runs, line.finished, line.solved, line.failures) == (4, 3, 3, [])
-    assert (line.median_env_steps, line.median_cpu_seconds) == (400.0, 2.0)
+    assert (line.runs, line.finished, line.solved, line.failures) == (4, 3, 4, [])
+    assert (line.median_env_steps, line.median_cpu_seconds) == (600.0, 3.0)
     assert (line.sampled_success, line.deterministic_success) == (0.9, 0.45)
-    assert (found[0].solved, found[2].solved) == (pytest.approx(found[0].solved), None)
+    assert [run.solved.env_steps for run in found if run.solved] == [800, 400, 1200, 400]
     assert (found[0].env_steps, found[0].relabelled_steps, found[0].search_steps) == (1200, 7, 9)
     assert [run.over for run in found] == [True, True, True, False]
     assert share_done(study, found) == pytest.approx((3 + 400 / 1000) / 4)
-    assert seconds_left(study, found, 2) == pytest.approx(3.0 + 600 * 2 / 400), "a start, and the rest of the budget"
+    assert seconds_left(study, found, 2) == pytest.approx(3.0 + 600 * 3 / 400), "a start, and the rest of the budget"
 
 
 def test_what_is_left_is_told_from_the_pace_and_the_slots(tmp_path: Path) -> None:
@@ -76,9 +83,49 @@ def test_what_is_left_is_told_from_the_pace_and_the_slots(tmp_path: Path) -> Non
     assert seconds_left(study, standings(tmp_path / "study", study), 2) is None
     wrote(tmp_path / "study", study.runs[0].run, [0.1, 0.1, 0.1], 0.1)
     found = standings(tmp_path / "study", study)
-    each = 3.0 + 1000 * 2 / 400  # a start, and the budget
+    each = 3.0 + 1000 * 3 / 400  # a start, and the budget
     assert seconds_left(study, found, 2) == pytest.approx(4 * each / 2)
     assert seconds_left(study, found, 100) == pytest.approx(each), "no run is done faster than by itself"
+
+
+def change(status: Status, iteration: int, time: float) -> StateChanged:
+    return StateChanged(status=status, iteration=iteration, time=time)
+
+
+def step(iteration: int, env_steps: int, time: float) -> Progress:
+    return Progress(
+        iteration=iteration, env_steps=env_steps, time=time, phi=[1.0] * 5, episode_return=0, success=0, policy_std=1
+    )
+
+
+def test_neither_a_pause_nor_the_time_without_a_trainer_is_work() -> None:
+    begun = [change("starting", 0, 10), change("running", 0, 12), step(1, 100, 15), step(2, 200, 20)]
+    assert work_of(begun) == Work(10, 200)
+    paused = [*begun, change("paused", 2, 21), acknowledged(1, 50), change("running", 2, 81), step(3, 300, 85)]
+    assert work_of(paused) == Work(11 + 4, 300)
+    stopped = [*paused, change("stopped", 3, 87)]
+    assert work_of(stopped) == Work(17, 300)
+    resumed = [*stopped, change("starting", 3, 1000), step(4, 400, 1005), change("finished", 4, 1006)]
+    assert work_of(resumed) == Work(23, 400)
+
+
+def test_what_a_resume_does_again_counts_as_work_both_times() -> None:
+    killed = [change("starting", 0, 0), step(1, 100, 10), step(2, 200, 20), step(3, 300, 30)]
+    again = [*killed, change("starting", 1, 500), step(2, 200, 520), step(3, 300, 540)]
+    assert work_of(again) == Work(30 + 40, 300 + 200)
+    from_the_start = [*killed, change("starting", 0, 500), step(1, 100, 501)]
+    assert work_of(from_the_start) == Work(31, 400)
+
+
+def test_a_loaded_machine_is_known_to_be_slow_whatever_the_cpu_time(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", 2)
+    done, waits = (RunStanding(**structs.asdict(planned), status="queued", over=False) for planned in study.runs)
+    done = structs.replace(done, status="finished", over=True, env_steps=1000, cpu_seconds=10, work=Work(40, 1000))
+    assert seconds_left(study, [done, waits], 1) == pytest.approx(3 + 40)
+    half = structs.replace(waits, status="running", env_steps=500, cpu_seconds=5, work=Work(60, 1000))
+    assert seconds_left(study, [done, half], 1) == pytest.approx(500 * (40 + 60) / 2000), (
+        "half of its steps were voided"
+    )
 
 
 def test_the_table_and_both_views_say_what_is_going_on(tmp_path: Path) -> None:
@@ -88,13 +135,13 @@ def test_the_table_and_both_views_say_what_is_going_on(tmp_path: Path) -> None:
     assert _counts(found) == "1 of 3 runs finished, 2 waiting"
     for kind, is_terminal in ((_Lines, False), (_Bars, True)):
         console = Console(file=io.StringIO(), force_terminal=is_terminal, width=120)
-        with kind(console, study, False) as view:
-            view.say("hello")
-            view.show(found, 1, last=True)
+        with Screen(console, quiet=False) as screen:
+            screen.say("hello")
+            kind(screen, study).show(found, 1, last=True)
         said = console.file.getvalue()  # pyright: ignore
         assert "hello" in said
         assert "1 of 3 runs finished, 2 waiting" in said
-        assert "ETA 0:16" in said
+        assert "ETA 0:21" in said
     console = Console(file=io.StringIO(), width=160)
     console.print(table_of(study, found))
     heading, line = console.file.getvalue().splitlines()  # pyright: ignore
@@ -103,6 +150,22 @@ def test_the_table_and_both_views_say_what_is_going_on(tmp_path: Path) -> None:
         "reacher", "no_hw_opt,trajectories=8", *("1", "of", "3"), *("1", "of", "3"), *("0.000", "M"), *("2.0", "s"),
         "0.750", "0.375",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_the_report_says_of_a_run_what_is_said_while_it_runs(tmp_path: Path, level: float) -> None:
+    study = make_study(tmp_path / "study", 4, level=level)
+    for planned, (success, final) in zip(
+        study.runs, [([0.5, 0.97], 0.9), ([0.1, 0.2], 0.96), ([0.4, 0.3], None), ([], None)], strict=True
+    ):
+        wrote(tmp_path / "study", planned.run, success, final)
+    rows = read_results(tmp_path / "study").runs
+    for row, standing in zip(rows, standings(tmp_path / "study", study), strict=True):
+        for name in ("run", "status", "env_steps", "relabelled_steps", "search_steps", "cpu_seconds",
+                     "sampled_success", "deterministic_success"):  # fmt: skip
+            assert getattr(row, name) == getattr(standing, name), name
+        solved = standing.solved
+        assert row.sampled_solved_steps == (solved.env_steps if solved else None)
 
 
 @pytest.fixture

@@ -108,9 +108,10 @@ def queue_process(directory: Path, slots: int, mood: str = "healthy") -> subproc
     )
 
 
-def make_study(directory: Path, seeds: int) -> Study:
+def make_study(directory: Path, seeds: int, level: float = 0.95) -> Study:
     variant = parse_variant("no_hw_opt,trajectories=8")
-    return write_study(directory, plan_study([PlannedTask("reacher")], [variant], range(seeds), env_steps=1000))
+    plan = plan_study([PlannedTask("reacher")], [variant], range(seeds), env_steps=1000, level=level)
+    return write_study(directory, plan)
 
 
 @pytest.fixture

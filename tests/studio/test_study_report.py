@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from lxml import etree, html
 
 from morph_core.protocol import Status
@@ -17,7 +19,7 @@ from studio.study import report
 from studio.study.plan import StudyError, parse_seeds, parse_task, parse_variant, plan_study, read_study
 from studio.study.report import write_report, write_tables_into
 from studio.study.report.claims import CLAIMS
-from studio.study.report.drawing import COLOURS, DASHES, INK, MARKERS, looks, slim
+from studio.study.report.drawing import COLOURS, DASHES, INK, STANDARD, looks, slim
 from studio.study.report.figures.learning import middle_half
 from studio.study.report.markdown import fill
 from studio.study.report.page import command_of, ranges
@@ -111,7 +113,7 @@ def test_every_claim_stands_there_with_its_rule_or_among_those_that_cannot_be_te
 
 
 def test_figures_take_the_ink_of_the_page_and_have_no_ground_of_their_own(page: html.HtmlElement) -> None:
-    figures = page.xpath("//figure/*[local-name()='svg']")
+    figures = page.xpath("//figure//*[local-name()='svg']")
     assert len(figures) == 9
     for figure in figures:
         drawn = etree.tostring(figure).decode()
@@ -259,10 +261,48 @@ def test_seeds_read_as_the_command_line_takes_them(seeds: list[int], said: str) 
     assert ranges(seeds) == said
 
 
-def test_no_two_of_many_variants_look_alike() -> None:
-    found = looks([str(i) for i in range(len(COLOURS) * len(DASHES))])
+LABELS = st.sampled_from(STANDARD) | st.text("abc", min_size=1, max_size=3)
+
+
+@given(st.lists(LABELS, max_size=len(COLOURS) * len(DASHES), unique=True))
+def test_no_two_of_many_variants_share_a_look_in_lines_or_in_marks(variants: list[str]) -> None:
+    found = looks(variants)
+    assert list(found) == variants
     assert len({(look.colour, str(look.dash)) for look in found.values()}) == len(found)
-    assert len({look.marker for look in list(found.values())[: len(MARKERS)]}) == len(MARKERS)
+    assert len({(look.colour, look.marker) for look in found.values()}) == len(found)
+
+
+@given(st.lists(LABELS, min_size=1, max_size=16, unique=True))
+def test_a_standard_variant_looks_the_same_in_every_study_and_none_has_its_colour(variants: list[str]) -> None:
+    found, alone = looks(variants), looks(STANDARD)
+    for label in set(variants) & set(STANDARD):
+        assert found[label] == alone[label]
+    assert len({look.colour for look in found.values()}) == min(len(found), len(COLOURS))
+
+
+def test_colours_are_told_apart_by_people_with_a_colour_blindness_and_seen_on_both_grounds() -> None:
+    encoded = np.array([[int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)] for colour in (*COLOURS, *GROUNDS)])
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    light = linear @ [0.2126, 0.7152, 0.0722] + 0.05
+    for ground in light[len(COLOURS) :]:
+        assert (np.maximum(light[: len(COLOURS)], ground) / np.minimum(light[: len(COLOURS)], ground)).min() > 2
+    for seen in SEEN_AS.values():
+        lab = np.cbrt(np.clip(linear[: len(COLOURS)] @ np.transpose(seen), 0, 1) @ LMS.T) @ OKLAB.T
+        distance = np.linalg.norm(lab[:, None] - lab, axis=-1) + np.eye(len(COLOURS))
+        assert distance.min() > 0.07
+
+
+GROUNDS = ("#ffffff", "#1b1d21", "#242424")
+SEEN_AS = {  # Machado, Oliveira and Fernandes (2009), severity 1
+    "all": np.eye(3),
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+LMS = np.array(  # Ottosson (2020): distances in OKLab are how different colours seem
+    [[0.412221, 0.536333, 0.051446], [0.211903, 0.680700, 0.107397], [0.088302, 0.281719, 0.629979]]
+)
+OKLAB = np.array([[0.210454, 0.793618, -0.004072], [1.977998, -2.428592, 0.450594], [0.025904, 0.782772, -0.808676]])
 
 
 def test_a_median_curve_ends_where_half_of_the_seeds_have_ended() -> None:

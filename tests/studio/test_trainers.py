@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from morph_core.history import History
-from studio.new_run import prepare_run
+from studio.new_run import StartRun, prepare_run
 from studio.trainers import Reserve
 
 TINY = {
@@ -25,7 +25,7 @@ def finished(history: History) -> bool:
 
 @pytest.mark.parametrize("dead", [False, True])
 def test_a_run_is_trained_by_the_reserve_or_without_it(tmp_path: Path, dead: bool) -> None:
-    folder = prepare_run(tmp_path, task="reacher", iterations=2, settings=TINY)
+    folder = prepare_run(tmp_path, StartRun(task="reacher", iterations=2, settings=TINY))
     reserve = Reserve()
     reserve.load()
     ready = reserve._ready

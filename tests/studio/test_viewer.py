@@ -36,8 +36,7 @@ from morph_core.protocol import (
     Unlock,
 )
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, write_episode
-from studio.new_run import prepare_run
-from studio.viewer import StartRequest
+from studio.new_run import StartRun, prepare_run
 from studio.viewer.charts import MOST_POINTS, decimate
 from studio.viewer.take import Shot, make_take
 from studio.viewer.viewer import NEW_RUN
@@ -111,7 +110,7 @@ def test_start_asks_for_what_the_form_says_and_opens_the_run(page: Page) -> None
     form.settings.projection.value, form.settings.exploration.value = "one_sided", "gaussian"
     form.submit(None)
     assert page.started == [
-        StartRequest(
+        StartRun(
             task="reacher", preset="studio", method="morph", seed=7, iterations=50, task_options={"tunnel": "paper"},
             settings={"alpha": 2.5, "projection": "one_sided", "exploration": "gaussian"},
         )
@@ -304,7 +303,7 @@ def test_another_kind_of_processor_is_said_on_the_panel(page: Page, folder: RunF
 
 
 def test_a_run_with_a_budget_shows_how_much_of_it_is_spent(page: Page, tmp_path: Path) -> None:
-    folder = prepare_run(tmp_path, task="reacher", iterations=9000, env_steps=800_000)
+    folder = prepare_run(tmp_path, StartRun(task="reacher", iterations=9000, env_steps=800_000))
     page.show(folder, "queued")
     assert "iteration <b>0</b></div>" in page.viewer.run.state.content, "nobody knows yet of how many"
     me = psutil.Process()

@@ -13,10 +13,18 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1")
-"""Colours that people with a colour blindness tell apart (Okabe and Ito 2008), without yellow and black."""
+COLOURS = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#a569ff", "#a53c1e", "#780ff0",
+)  # fmt: skip
+"""Colours that people with a colour blindness tell apart, on white and on dark ground: six of Okabe and Ito (2008), and
+three that keep the largest distance from these and from one another."""
 DASHES: tuple[object, ...] = ("-", (0, (5, 2)), (0, (1, 1.4)), (0, (5, 1.5, 1, 1.5)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
+STANDARD = (
+    "studio", "paper", "direct", "cmaes_rl", "paper,projection=none", "transform2act", "value_gradient",
+    "paper,projection=as_printed", "no_hw_opt",
+)  # fmt: skip
+"""Variants that look the same in the report of every study, each in its own colour."""
 INK = "#1c2733"
 """Colour of text and axes; in a page it becomes that of the page's text."""
 FAINT = "#8a929c"
@@ -58,11 +66,15 @@ class Drawing:
 
 
 def looks(variants: Sequence[str]) -> dict[str, Look]:
-    """Return the look of each variant: no two of the first 28 share colour and dash."""
-    return {
-        label: Look(COLOURS[i % len(COLOURS)], DASHES[(i // len(COLOURS)) % len(DASHES)], MARKERS[i % len(MARKERS)])
-        for i, label in enumerate(variants)
-    }
+    """Return the look of each variant: no two of 36 share colour and dash, nor colour and marker."""
+    taken = {label: STANDARD.index(label) for label in variants if label in STANDARD}
+    free = (place for place in itertools.count() if place not in taken.values())
+    return {label: _look(taken[label] if label in taken else next(free)) for label in variants}
+
+
+def _look(place: int) -> Look:
+    again, number = divmod(place, len(COLOURS))
+    return Look(COLOURS[number], DASHES[again % len(DASHES)], MARKERS[(number + again) % len(MARKERS)])
 
 
 def new_figure(

@@ -238,9 +238,8 @@ def _unread(study: Study, planned: PlannedRun, status: str, reason: str) -> RunR
 def _run_row(study: Study, planned: PlannedRun, history: History, status: Status | str, reason: str) -> RunRow:
     config = flattened(history.record.config)
     last = history.progress[-1] if history.progress else None
-    end = _last_evaluation(history.evaluations)
-    sampled = _first(history.evaluations, "sampled_success", study.level)
-    deterministic = _first(history.evaluations, "deterministic_success", study.level)
+    sampled = history.first_evaluation("sampled", study.level)
+    deterministic = history.first_evaluation("deterministic", study.level)
     moving = [p for p, moved in zip(history.progress, _moved(history), strict=True) if moved]
     loss, cost = _values(moving, "divergence"), _values(moving, "search_cost")
     shown = {name: config.get(name) for name in ("exploration", "search", "projection")}
@@ -255,12 +254,12 @@ def _run_row(study: Study, planned: PlannedRun, history: History, status: Status
         env_steps=last.env_steps if last else 0,
         relabelled_steps=last.relabelled_steps if last else 0,
         search_steps=last.search_steps if last else 0,
-        cpu_seconds=max((e.cpu_seconds for e in (*history.progress[-1:], *history.evaluations[-1:])), default=0.0),
+        cpu_seconds=history.cpu_seconds,
         sampled_solved_steps=sampled.env_steps if sampled else None,
         sampled_solved_cpu_seconds=sampled.cpu_seconds if sampled else None,
         deterministic_solved_steps=deterministic.env_steps if deterministic else None,
         deterministic_solved_cpu_seconds=deterministic.cpu_seconds if deterministic else None,
-        **_end(end),
+        **_end(history.last_evaluation),
         diverged=last.diverged if last else 0,
         negative_share=_mean(_values(moving, "cosine_negative")),
         cosine=_mean(_values(moving, "cosine")),
@@ -352,15 +351,6 @@ def _moved(history: History) -> list[bool]:
     """Return for each iteration whether phi moved in it."""
     path = [history.initial_phi.tolist(), *(p.phi for p in history.progress)]
     return [now != before for before, now in itertools.pairwise(path)]
-
-
-def _last_evaluation(evaluations: Sequence[Evaluation]) -> Evaluation | None:
-    """Return the evaluation at the end of the budget, or the last one before it."""
-    return max(evaluations, key=lambda e: (e.final, e.iteration), default=None)
-
-
-def _first(evaluations: Sequence[Evaluation], name: str, level: float) -> Evaluation | None:
-    return next((e for e in evaluations if getattr(e, name) >= level), None)
 
 
 def _values(progress: Sequence[Progress], name: str) -> list[float]:

@@ -6,24 +6,26 @@ from typing import Any
 import numpy as np
 
 from studio.study.report.claims import NEGATIVE_SHARE
-from studio.study.report.drawing import COLOURS, FAINT, Drawing, new_figure
+from studio.study.report.drawing import FAINT, INK, Drawing, looks, new_figure
 from studio.study.report.figures.learning import broken, by_run, middle_half, points
 from studio.study.report.results import CurveRow, Results, chosen
 
 _PANELS = 4
 _ENDS = 1e-9
+_TWO_DECADES = 100
 
 
 def cosines(results: Results) -> Iterator[Drawing]:
     """Yield for each task a column of two panels for each variant with a proxy: the cosine, and its negative share."""
+    style = looks(results.variants)
     for task in results.tasks:
         drawn = _variants_with(results, task, "cosine_negative")
         for number, part in enumerate(_parts(drawn)):
             figure, axes = new_figure(2, len(part), 1.9, max(5.0, 2.4 * len(part)), sharex="col", sharey="row")
             for (upper, lower), variant in zip(axes.T, part, strict=True):
                 rows = chosen(results.curves, task, variant)
-                _spread(upper, rows, "cosine", COLOURS[0])
-                _spread(lower, rows, "cosine_negative", COLOURS[1], 100)
+                _spread(upper, rows, "cosine", style[variant].colour)
+                _spread(lower, rows, "cosine_negative", style[variant].colour, 100)
                 upper.axhline(0, color=FAINT, linewidth=1)
                 upper.set_title(broken(variant, 26), loc="left")
                 lower.axhline(100 * NEGATIVE_SHARE, color=FAINT, linestyle=":", linewidth=1.4)
@@ -46,28 +48,27 @@ def cosines(results: Results) -> Iterator[Drawing]:
 
 def losses(results: Results) -> Iterator[Drawing]:
     """Yield for each task a panel for each variant with a proxy: its loss and the search cost."""
+    style = looks(results.variants)
     for task in results.tasks:
         drawn = _variants_with(results, task, "divergence")
         for number, part in enumerate(_parts(drawn)):
             figure, axes = new_figure(1, len(part), 2.6, max(5.0, 2.4 * len(part)), sharex=True)
             for panel, variant in zip(axes[0], part, strict=True):
                 rows = chosen(results.curves, task, variant)
-                _spread(panel, rows, "divergence", COLOURS[0], label="loss of the proxy, D", log=True)
-                _spread(panel, rows, "search_cost", COLOURS[1], label="search cost", dash=(0, (5, 2)), log=True)
+                _spread(panel, rows, "divergence", style[variant].colour, log=True)
+                _spread(panel, rows, "search_cost", INK, dash=(0, (5, 2)), log=True)
                 _logarithmic(panel)
                 panel.set_title(broken(variant, 26), loc="left")
             axes[0, 0].set_ylabel("mean squared distance")
-            handles, labels = axes[0, 0].get_legend_handles_labels()
-            figure.legend(handles, labels, loc="outside upper right", ncols=2, handlelength=3.2)
             for panel in axes.flat:
                 panel.locator_params(axis="x", nbins=4)
             figure.supxlabel("environment steps [million]", fontsize=9)
             yield Drawing(
                 _numbered(f"loss-{task}", number),
                 f"{task}: loss of the proxy and search cost",
-                "The divergence of Hw-Phy with the present φ from the proxy, and that of the design found from the "
-                "relabelled data, each in the metric of its variant: only shapes compare across panels. Lines: "
-                "median over seeds; bands: the middle half.",
+                "Solid: the loss of the proxy D, the divergence of Hw-Phy with the present φ from the proxy. Dashed: "
+                "the search cost, that of the design found from the relabelled data. Both are in the metric of the "
+                "variant: only shapes compare across panels. Lines: median over seeds; bands: the middle half.",
                 figure,
             )
 
@@ -76,7 +77,8 @@ def _logarithmic(panel: Any) -> None:
     from matplotlib.ticker import LogLocator, NullLocator
 
     panel.set_yscale("log")
-    panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=8))
+    low, high = panel.get_ylim()
+    panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < _TWO_DECADES * low else (1,), numticks=8))
     panel.yaxis.set_minor_locator(NullLocator())
     panel.yaxis.set_major_formatter("{x:g}")
 
@@ -99,8 +101,8 @@ def _numbered(name: str, number: int) -> str:
 
 
 def _spread(
-    panel: Any, rows: Sequence[CurveRow], measure: str, colour: str, factor: float = 1, label: str = "",
-    dash: object = "-", log: bool = False,
+    panel: Any, rows: Sequence[CurveRow], measure: str, colour: str, factor: float = 1, dash: object = "-",
+    log: bool = False,
 ) -> None:  # fmt: skip
     """Draw the median over runs and the middle half; on a logarithmic axis nothing falls below `_ENDS`."""
     band = middle_half([points(some, measure, factor) for some in by_run(rows).values()])
@@ -110,4 +112,4 @@ def _spread(
     if log:
         low, middle, high = (np.maximum(part, _ENDS) for part in (low, middle, high))
     panel.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
-    panel.plot(x, middle, color=colour, linestyle=dash, label=label)
+    panel.plot(x, middle, color=colour, linestyle=dash)

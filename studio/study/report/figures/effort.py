@@ -5,15 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from studio.study.report.drawing import COLOURS, FAINT, INK, Drawing, looks, new_figure
+from studio.study.report.drawing import FAINT, INK, Drawing, Look, looks, new_figure
 from studio.study.report.figures.learning import MILLION, short
 from studio.study.report.results import Results, RunRow
 
 _SPENT = (
-    ("env_steps", "trajectories", COLOURS[0]),
-    ("relabelled_steps", "relabelling and the proxy's fit", COLOURS[4]),
-    ("search_steps", "search for φ", FAINT),
+    ("env_steps", "trajectories", 1.0),
+    ("relabelled_steps", "relabelling and the proxy's fit", 0.55),
+    ("search_steps", "search for φ", 0.25),
 )
+"""Kinds of steps, and how opaque the variant's colour is in their bar."""
 
 
 def time_to_solve(results: Results) -> Iterator[Drawing]:
@@ -42,9 +43,9 @@ def time_to_solve(results: Results) -> Iterator[Drawing]:
         yield Drawing(
             f"time-{task}",
             f"{task}: time to solve",
-            f"When the sampled policy first succeeded in {results.study.level:.0%} of an evaluation's episodes: a mark "
-            "for each seed that did, the median of these as a bar, and beside the name how many did. The axes end "
-            "with the budget and with the longest run.",
+            f"When the sampled policy first succeeded in {100 * results.study.level:g} % of an evaluation's episodes: "
+            "a mark for each seed that did, the median of these as a bar, and beside the name how many did. The axes "
+            "end with the budget and with the longest run.",
             figure,
         )
 
@@ -55,6 +56,8 @@ def _solved(rows: list[RunRow]) -> int:
 
 def spent(results: Results) -> Iterator[Drawing]:
     """Yield for each task the CPU time of each seed, and the mean number of steps by what they were for."""
+    from matplotlib.patches import Patch
+
     style = looks(results.variants)
     for task in results.tasks:
         drawn = {v: rows for v in results.variants if (rows := results.ended(task, v))}
@@ -63,10 +66,10 @@ def spent(results: Results) -> Iterator[Drawing]:
         figure, axes = new_figure(1, 2, 1.2 + 0.32 * len(drawn), sharey=True)
         for height, (variant, rows) in enumerate(drawn.items()):
             _dots(axes[0, 0], height, [row.cpu_seconds for row in rows], style[variant])
-        left = np.zeros(len(drawn))
-        for name, label, colour in _SPENT:
+        left, colours = np.zeros(len(drawn)), [style[variant].colour for variant in drawn]
+        for name, _, alpha in _SPENT:
             steps = np.array([np.mean([getattr(row, name) for row in rows]) for rows in drawn.values()]) / MILLION
-            axes[0, 1].barh(range(len(drawn)), steps, 0.6, left, color=colour, label=label)
+            axes[0, 1].barh(range(len(drawn)), steps, 0.6, left, color=colours, alpha=alpha)
             left += steps
         for panel in axes[0]:
             panel.grid(axis="y", visible=False)
@@ -75,8 +78,8 @@ def spent(results: Results) -> Iterator[Drawing]:
         axes[0, 0].set_ylim(len(drawn) - 0.5, -0.5)
         axes[0, 0].set_xlabel("CPU time of a run [s of one core]")
         axes[0, 1].set_xlabel("steps of simulation, mean over seeds [million]")
-        handles, labels = axes[0, 1].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower right", ncols=3)
+        kinds = [Patch(facecolor=INK, alpha=alpha, label=label) for _, label, alpha in _SPENT]
+        figure.legend(handles=kinds, loc="outside lower right", ncols=3)
         yield Drawing(
             f"cost-{task}",
             f"{task}: what a run costs",
@@ -86,7 +89,7 @@ def spent(results: Results) -> Iterator[Drawing]:
         )
 
 
-def _dots(panel: Any, height: int, values: list[float], look: Any) -> None:
+def _dots(panel: Any, height: int, values: list[float], look: Look) -> None:
     if not values:
         return
     spread = np.linspace(-0.16, 0.16, len(values)) if len(values) > 1 else np.zeros(1)

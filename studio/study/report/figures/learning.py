@@ -65,9 +65,10 @@ def seed_curves(results: Results) -> Iterator[Drawing]:
         figure, axes = new_figure(-(-len(drawn) // columns), columns, 2.2, sharex=True, sharey=True)
         failed = {row.run for row in results.runs if row.status == "failed"}
         for panel, (variant, runs) in zip(axes.flat, drawn.items(), strict=False):
+            look = style[variant]
             for run, rows in runs.items():
                 x, y = points(rows, "sampled_success", 100)
-                panel.plot(x, y, color=style[variant].colour, linewidth=0.9, alpha=0.75)
+                panel.plot(x, y, color=look.colour, linestyle=look.dash, linewidth=0.9, alpha=0.75)
                 if run in failed and len(x):
                     panel.plot(x[-1], y[-1], "x", color=INK, markersize=7, markeredgewidth=1.8)
             _level_line(panel, results)

@@ -1,0 +1,111 @@
+"""Inputs for the bounds and the lock of every design parameter."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+
+from morph_core.design import DesignSpace
+from morph_core.protocol import AnyCommand, Lock, Parameter, SetBound, Unlock
+
+_MOST_OPEN = 5
+"""Largest number of rows that are all open at first; of more, each is folded."""
+
+
+@dataclass
+class Row:
+    """The inputs of one parameter."""
+
+    folder: viser.GuiFolderHandle
+    bounds: viser.GuiVector2Handle
+    locked: viser.GuiCheckboxHandle
+    value: viser.GuiNumberHandle[float]
+    shown: Parameter
+
+
+class BoundsForm:
+    """A row of inputs for each parameter of a design space, made where the caller has opened a container."""
+
+    def __init__(self, gui: viser.GuiApi, space: DesignSpace, *, expand: bool = True) -> None:
+        """Make the rows; they are open if there are few of them and they should `expand`."""
+        self._gui = gui
+        self._space, self._phi = space, space.initial
+        expand = expand and len(space) <= _MOST_OPEN
+        self.rows = {p.name: self._row(p, expand) for p in space.parameters}
+
+    def show(self, space: DesignSpace, phi: np.ndarray) -> None:
+        """Show bounds and locks that have changed; inputs that somebody is editing stay as they are."""
+        self._space, self._phi = space, phi
+        for p in space.parameters:
+            if p != self.rows[p.name].shown:
+                self._fill(self.rows[p.name], p)
+
+    def discard(self) -> None:
+        """Show the bounds and locks again, whatever was edited."""
+        for row in self.rows.values():
+            self._fill(row, row.shown)
+
+    def edited(self) -> tuple[list[AnyCommand], Sequence[Parameter]]:
+        """Return what was edited, as commands and as the parameters that differ.
+
+        Raise ValueError with a sentence if a value is not allowed.
+        """
+        space, commands = self._space, []
+        for p in self._space.parameters:
+            row = self.rows[p.name]
+            lo, hi = row.bounds.value
+            if p.locked_at is not None and not row.locked.value:
+                commands.append(Unlock(p.name))
+                space = space.without_lock(p.name)
+            lo, hi = (_unrounded(p, value, (p.lo, p.hi, p.hard_lo, p.hard_hi)) for value in (lo, hi))
+            if (lo, hi) != (p.lo, p.hi):
+                commands.append(SetBound(p.name, lo, hi))
+                space = space.with_bound(p.name, lo, hi)
+            if row.locked.value and row.value.value != p.locked_at:
+                commands.append(Lock(p.name, row.value.value))
+                space = space.with_lock(p.name, row.value.value)
+        pairs = zip(space.parameters, self._space.parameters, strict=True)
+        return commands, [now for now, before in pairs if now != before]
+
+    def _row(self, p: Parameter, expand: bool) -> Row:
+        gui = self._gui
+        unit = f" [{p.unit}]" if p.unit else ""
+        step = _step(p)
+        with gui.add_folder(p.name, expand_by_default=expand) as folder:
+            bounds = gui.add_vector2(
+                f"bounds{unit}", (p.lo, p.hi), min=(p.hard_lo, p.hard_lo), max=(p.hard_hi, p.hard_hi), step=step,
+                hint=f"lowest and highest allowed value, inside {p.hard_lo:g} to {p.hard_hi:g} {p.unit}",
+            )  # fmt: skip
+            locked = gui.add_checkbox("locked", p.locked_at is not None, hint="hold it at the value below")
+            value = gui.add_number(
+                f"at{unit}", p.initial if p.locked_at is None else p.locked_at, min=p.hard_lo, max=p.hard_hi, step=step,
+                visible=p.locked_at is not None,
+            )  # fmt: skip
+            row = Row(folder, bounds, locked, value, p)
+        locked.on_update(lambda event: self._propose(p.name, by_hand=event.client is not None))
+        return row
+
+    def _propose(self, name: str, *, by_hand: bool) -> None:
+        """Show the input of the value beside a ticked lock; when somebody ticks it, fill in the present value."""
+        row = self.rows[name]
+        row.value.visible = row.locked.value
+        if by_hand and row.locked.value and row.shown.locked_at is None:
+            present = round(float(self._phi[self._space.index(name)]), 3)
+            row.value.value = min(max(present, row.shown.lo), row.shown.hi)
+
+    def _fill(self, row: Row, p: Parameter) -> None:
+        row.bounds.value = (p.lo, p.hi)
+        row.locked.value = p.locked_at is not None
+        if p.locked_at is not None:
+            row.value.value = p.locked_at
+        row.shown = p
+
+
+def _step(p: Parameter) -> float:
+    return 0.01 if p.scale >= 0.5 else 0.001
+
+
+def _unrounded(p: Parameter, value: float, exact: tuple[float, ...]) -> float:
+    """Return the one of the exact values that the browser shows rounded to the input's step, else `value`."""
+    return next((e for e in exact if abs(value - e) <= _step(p) / 2), value)

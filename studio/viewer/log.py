@@ -1,0 +1,104 @@
+"""The log panel: what was done to a run, and the tree of runs that were branched from one another."""
+
+import time
+from collections.abc import Callable, Mapping
+
+import viser
+
+from morph_core.history import History
+from morph_core.protocol import Status
+from studio.branches import Member, place_in_words
+from studio.log import LogEntry, log_of
+from studio.viewer import wording
+
+_MOST = 100
+"""Largest number of lines that are shown of a log."""
+_CHOOSE = "open one of them…"
+
+
+class LogPanel:
+    """The tree and the log of one run; `on_open` is called with the name of a run of the tree that is to be opened."""
+
+    def __init__(self, gui: viser.GuiApi, *, on_open: Callable[[str], None]) -> None:
+        self._on_open = on_open
+        self._shown: tuple[str, int] = ("", -1)
+        self.tree = gui.add_html("")
+        self.relatives = gui.add_dropdown("relatives", [_CHOOSE], visible=False, hint="The runs of this tree")
+        self.log = gui.add_html("")
+        self.relatives.on_update(lambda event: self._open() if event.client else None)
+
+    def update(self, history: History, family: Member | None, statuses: Mapping[str, tuple[Status, str]]) -> None:
+        """Show the tree in which a run stands, if it has relatives, and its log."""
+        name = history.folder.id
+        content = _heading("Branches") + (
+            _tree(family, name, statuses)
+            if family
+            else wording.paragraph(wording.dim("No run was branched from this one yet, and it is no branch itself."))
+        )
+        if content != self.tree.content:
+            self.tree.content = content
+        others = [run for run in _names(family) if run != name] if family else []
+        options = (_CHOOSE, *others)
+        if tuple(self.relatives.options) != options:
+            self.relatives.options = options
+        self.relatives.visible = bool(others)
+        if self._shown != (name, len(history.events)):
+            self._shown = name, len(history.events)
+            self.log.content = _heading("Log, newest first") + _log(log_of(history))
+
+    def _open(self) -> None:
+        chosen = self.relatives.value
+        self.relatives.value = _CHOOSE
+        if chosen in self.relatives.options and chosen != _CHOOSE:
+            self._on_open(chosen)
+
+
+def _heading(words: str) -> str:
+    return wording.paragraph(f"<b>{words}</b>")
+
+
+def _names(member: Member) -> list[str]:
+    """Return the runs of a tree that are in this folder, from the oldest ancestor down."""
+    here = [member.run] if member.here else []
+    return here + [name for child in member.children for name in _names(child)]
+
+
+def _tree(root: Member, current: str, statuses: Mapping[str, tuple[Status, str]]) -> str:
+    """Return a tree as HTML: each run under the one that it was branched from, the current one marked."""
+
+    def lines(member: Member) -> str:
+        name = wording.text(member.run)
+        marked = f'<b style="color:{wording.BLUE}">{name}</b>' if member.run == current else name
+        status, _ = statuses.get(member.run, ("", ""))
+        said = " · ".join(word for word in (place_in_words(member), status) if word)
+        below = "".join(f"<li>{lines(child)}</li>" for child in member.children)
+        return (
+            f"{marked}<br>{wording.dim(wording.text(said))}"
+            + (f'<ul style="{_STEM}">{below}</ul>' if below else "")
+        )  # fmt: skip
+
+    return wording.paragraph(lines(root))
+
+
+_STEM = "list-style:none;margin:0.25em 0 0 0.3em;padding-left:0.8em;border-left:2px solid #8888"
+
+
+def _log(entries: list[LogEntry]) -> str:
+    """Return a log as HTML, newest line first."""
+    if not entries:
+        return wording.paragraph(wording.dim("Nothing was done yet."))
+    lines = [_line(entry) for entry in entries[: -_MOST - 1 : -1]]
+    rest = len(entries) - len(lines)
+    older = wording.dim(f"and {rest} older ones: morph-studio log RUN prints them") if rest else ""
+    return wording.paragraph("".join(lines) + older)
+
+
+def _line(entry: LogEntry) -> str:
+    when = time.strftime("%d %b %H:%M:%S", time.localtime(entry.time))
+    words = wording.text(entry.words)
+    if entry.undone:
+        words = f"<s>{words}</s> {wording.dim('undone: the trainer went on from before it')}"
+    elif not entry.accepted:
+        words = f'<span style="color:{wording.RED}">{words}</span>'
+    said = " · ".join(wording.text(word) for word in (f"iteration {entry.iteration}", when, entry.sender) if word)
+    return f'<div style="margin-bottom:0.45em">{words}<br>{wording.dim(said)}</div>'
