@@ -17,6 +17,7 @@ from PIL import Image
 from morph_core.history import History
 from morph_core.protocol import Evaluation, Progress, StateChanged
 from morph_core.run_folder import EventLog, RunFolder, RunFolderError, list_runs
+from studio.new_run import StartRun
 from studio.runs import Runs
 from studio.shelf import trash
 from studio.shelf.marks import (
@@ -135,7 +136,7 @@ def test_a_deleted_run_is_gone_and_comes_back_whole(runs_folder: Path) -> None:
 
 def test_a_run_at_work_is_not_deleted(runs_folder: Path) -> None:
     runs = Runs(runs_folder, stand_in)
-    run_id = runs.start(task="reacher")
+    run_id = runs.start(StartRun(task="reacher"))
     with pytest.raises(ValueError, match=r"is (starting|running): stop it, then delete it"):
         runs.discard(run_id)
     assert runs.ids() == [run_id]
