@@ -245,7 +245,7 @@ def test_an_empty_folder_has_no_runs(tmp_path: Path) -> None:
 def test_runs_shows_what_people_have_noted_and_leaves_archived_ones_out(folder: RunFolder) -> None:
     runs = folder.path.parent
     write_marks(folder.path, Marks(starred=True, name="[b]Long fingers[/b]", tags=("to print",)))
-    archived = prepare_run(runs, task="reacher", seed=4)
+    archived = prepare_run(runs, StartRun(task="reacher", seed=4))
     write_marks(archived.path, Marks(archived=True))
 
     def listed(*words: str) -> list[str]:
