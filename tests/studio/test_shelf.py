@@ -205,14 +205,29 @@ def test_the_trash_is_purged_by_age_and_by_number(runs_folder: Path, monkeypatch
     now = 1.8e9
     for i, age in enumerate((0, 60, 7200, 8 * 86400)):
         trash.discard(make_run(runs_folder, f"run-{i}"), now - age)
-    for i in (3, 2):  # each deletion purged by its own clock
-        assert f"run-{i}" in in_trash(runs_folder)
     trash.purge(runs_folder, now)
     assert in_trash(runs_folder) == ["run-0", "run-1"], "the third is beyond the number and older than an hour"
     trash.discard(make_run(runs_folder, "run-4"), now + 1)
+    trash.purge(runs_folder, now + 1)
     assert in_trash(runs_folder) == ["run-4", "run-0", "run-1"], "what was deleted just now can be undone"
     assert trash.empty(runs_folder) == 3
     assert list((runs_folder / trash.FOLDER).iterdir()) == []
+
+
+def test_a_deletion_purges_what_has_lain_in_the_trash_for_too_long(runs_folder: Path) -> None:
+    trash.discard(make_run(runs_folder, "old"), time.time() - 8 * 86400)
+    make_run(runs_folder, "run")
+    Runs(runs_folder).discard("run")
+    assert in_trash(runs_folder) == ["run"]
+
+
+def test_another_run_by_the_name_of_a_deleted_one_is_read_anew(runs_folder: Path) -> None:
+    runs = Runs(runs_folder)
+    for ended in ("stopped", "failed"):
+        make_run(runs_folder, "run", ended=ended)
+        assert runs.get("run").status == ended
+        assert runs.row("run").status == ended
+        runs.discard("run")
 
 
 def test_the_trash_follows_no_link_and_leaves_what_is_not_its_own(runs_folder: Path, tmp_path: Path) -> None:
