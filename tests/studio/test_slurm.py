@@ -494,7 +494,7 @@ def test_a_run_of_slurms_goes_back_to_slurm_whoever_resumes_it(
 def test_who_resumes_a_run_takes_its_pause_back(
     cluster: Cluster, runs: Runs, said: list[AnyCommand], by_command_line: bool
 ) -> None:
-    run_id = runs.start(task="reacher", iterations=9)
+    run_id = runs.start(StartRun(task="reacher", iterations=9))
     folder = runs.get(run_id).folder
     log = EventLog(folder)
     for number, command in enumerate(said, start=1):
