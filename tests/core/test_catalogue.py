@@ -227,11 +227,11 @@ def test_a_recorded_setting_that_does_nothing_is_refused() -> None:
 
 
 def test_a_method_of_a_task_is_as_the_task_has_tuned_it() -> None:
-    tuned = {type(settings): settings for settings in PEN.tuned}
-    for name in ("morph", "direct", "no_hw_opt"):
-        assert make_method(name, PEN) == tuned[METHODS[name]]
-    assert make_method("morph", PEN) != Morph()
-    assert make_method("morph", REACHER) == make_method("morph") == Morph()
+    for task in (PEN, REACHER):
+        tuned = {type(settings): settings for settings in task.tuned}
+        for name in ("morph", "direct", "no_hw_opt"):
+            assert make_method(name, task) == tuned[METHODS[name]] != METHODS[name]()
+    assert make_method("morph") == Morph()
 
 
 def test_another_search_is_the_one_that_the_task_has_tuned() -> None:
@@ -287,6 +287,7 @@ def test_a_method_that_the_task_does_not_know_gets_its_parts() -> None:
 
 
 @pytest.mark.usefixtures("foreign")
-def test_where_nothing_is_tuned_a_method_has_its_own_defaults() -> None:
-    assert make_method("foreign") == make_method("foreign", REACHER) == Foreign()
+def test_where_nothing_is_tuned_a_method_has_its_own_defaults_and_else_the_tasks_parts() -> None:
+    assert make_method("foreign") == Foreign()
+    assert make_method("foreign", REACHER) == dataclasses.replace(Foreign(), ppo=make_method("direct", REACHER).ppo)
     assert (Foreign().schedule, Foreign().evaluation) == (Schedule(), Evaluation())

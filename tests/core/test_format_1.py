@@ -48,7 +48,7 @@ OLD_DEFAULTS: dict[str, Any] = {
 """Every field that settings had in format 1."""
 ONCE_FIXED = {
     "proxy.prefit_pairs": 512, "proxy.prefit_learning_rate": 2e-3, "search.steps": 200, "search.groups": 1,
-    "exploration.finish": "policy_and_proxy",
+    "exploration.finish": "policy_and_proxy", "ppo.initial_weights": "uniform",
 }  # fmt: skip
 """What could not be set in format 1 -> what it was."""
 

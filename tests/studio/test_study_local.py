@@ -213,7 +213,7 @@ def test_a_run_that_gets_further_each_time_is_not_given_up(directory: Path) -> N
     local.submit(directory, [folder.id])
     for reached in (1, 2, 3):  # each trainer dies after one iteration
         local.tend(directory)
-        assert eventually(lambda reached=reached: History(folder).iteration == reached, 30)
+        assert eventually(lambda reached=reached: History(folder).iteration >= reached, 30)
         assert eventually(lambda: not local.tend(directory) and read_launch(folder.path), 30)
         assert eventually(lambda: len(journal(directory)) % 2 == 0, 30)
     launch = read_launch(folder.path)
