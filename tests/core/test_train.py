@@ -197,6 +197,7 @@ def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp
     assert History(folder).design_space.parameters[0].hi == 2.0
 
 
+@pytest.mark.slow
 def test_a_paused_run_that_a_cluster_ends_comes_back_paused_until_a_user_lets_it_go_on(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=4)
     folder.send(protocol.StepIteration())
@@ -294,6 +295,7 @@ def test_the_processor_is_recorded_at_each_start(tmp_path: Path) -> None:
         assert "went on from iteration 2 on" in history.other_processor
 
 
+@pytest.mark.slow
 def test_until_is_the_last_iteration_however_often_a_trainer_is_started(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=2)
     for _ in range(2):
@@ -372,6 +374,7 @@ def test_a_trainer_in_reserve_starts_at_a_word_and_goes_when_nobody_needs_it(tmp
     assert unused.returncode == 0
 
 
+@pytest.mark.slow
 def test_further_goes_beyond_a_finished_run(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=2)
     train(folder)

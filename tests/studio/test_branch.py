@@ -376,6 +376,7 @@ def test_the_log_is_printed_as_a_table_and_as_json(
     assert words("log", "nobody")[2].startswith('morph-studio: unknown run "nobody"; choose from: ')
 
 
+@pytest.mark.slow
 def test_a_replay_is_compared_and_a_difference_reported(
     parent: RunFolder, words: Callable[..., tuple[int, str, str]]
 ) -> None:

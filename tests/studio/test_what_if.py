@@ -312,6 +312,7 @@ def evaluate(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
 
 
+@pytest.mark.slow
 def test_the_command_measures_another_design_and_along_each_parameter(history: History) -> None:
     run = str(history.folder.path)
     done = evaluate(run, "--design", "3", "--phi", "link_1=2", "--episodes", "4", "--json")
