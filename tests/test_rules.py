@@ -87,3 +87,9 @@ def test_importing_the_core_loads_no_web_viewer_or_mesh_library() -> None:
 def test_torch_is_bounded_to_one_minor_version() -> None:
     assert '"torch>=2.13,<2.14"' in (ROOT / "pyproject.toml").read_text()
     assert "torch==2.13.0" in (ROOT / "constraints.txt").read_text().splitlines()
+
+
+def test_no_two_test_files_are_one_module_to_pytest() -> None:
+    files = [path for path in (ROOT / "tests").rglob("test_*.py") if not (path.parent / "__init__.py").exists()]
+    twice = {path.name for path in files if [other.name for other in files].count(path.name) > 1}
+    assert not twice, f"outside of packages a test file needs a name of its own; given twice: {sorted(twice)}"
