@@ -43,7 +43,7 @@ class Inbox:
     def __init__(self, lines: BinaryIO, on_end: Callable[[], None]) -> None:
         """Read `lines` until they end, and call `on_end` then."""
         self._questions: queue.SimpleQueue[Question] = queue.SimpleQueue()
-        self._withdrawn: set[int] = set()
+        self._withdrawn: int | None = None  # the last one: who asks waits for each answer before the next question
         threading.Thread(target=self._read, args=(lines, on_end), name="inbox", daemon=True).start()
 
     def questions(self, idle: float) -> Iterator[Question]:
@@ -56,7 +56,7 @@ class Inbox:
 
     def check(self, number: int) -> None:
         """Raise _GivenUp if the question of this number was withdrawn."""
-        if number in self._withdrawn:
+        if number == self._withdrawn:
             raise _GivenUp
 
     def _read(self, lines: BinaryIO, on_end: Callable[[], None]) -> None:
@@ -65,7 +65,7 @@ class Inbox:
                 case Question() as question:
                     self._questions.put(question)
                 case Withdrawal(id=number):
-                    self._withdrawn.add(number)
+                    self._withdrawn = number
         on_end()
 
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from morph_core.control import Batch
+from morph_core.networks import log_normal
 from morph_core.parts import Ppo, Schedule
 from morph_core.state import State, start
 from tests.core.scales import BATCH_OF_ALL, TINY, Scales, linear, replaced, started, tensor, trajectories
@@ -279,3 +280,9 @@ def test_uniform_weights_fill_their_range() -> None:
         values = torch.cat([layer.weight.flatten(), layer.bias]).detach().abs() * math.sqrt(layer.in_features)
         assert 0.5 < float(values.max()) <= 1
         assert layer.bias.all()
+
+
+def test_the_log_probability_is_that_of_independent_normal_numbers() -> None:
+    x, mean, std = tensor([[0.3, -1.0], [2.0, 0.5]]), tensor([[0.1, 0.0], [1.0, 0.5]]), tensor([0.5, 2.0])
+    expected = torch.distributions.Normal(mean, std).log_prob(x).sum(-1)
+    assert log_normal(x, mean, std).tolist() == pytest.approx(expected.tolist())
