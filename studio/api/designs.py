@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from morph_core.history import History
 from morph_core.protocol import InjectDesign
-from morph_core.run_folder import RunFolderError
+from morph_core.run_folder import RunFolderError, episode_bytes
 from studio.api.messages import (
     Accepted,
     Checked,
@@ -29,7 +29,6 @@ from studio.export.design_file import phi_for, read_design, starting_from
 from studio.new_run import StartRun
 from studio.runs import Runs
 
-MAX_EPISODE = 256 << 20
 Formats = Annotated[list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step; repeated or with commas")]
 OtherPhi = Annotated[list[float] | None, Query(description="All values of another design in its place; repeated")]
 _FILE = {"schema": {"type": "string", "format": "binary"}}
@@ -57,15 +56,11 @@ def designs_of(history: History) -> Designs:
 def episode_of(history: History, iteration: str) -> bytes:
     """Return the npz file of one recorded episode. Raise RunFolderError with the choices if there is none."""
     folder = history.folder
-    recorded = {int(p.stem): p for p in folder.episodes.glob("[0-9]*.npz") if p.stem.isdecimal()}
-    path = recorded.get(int(iteration)) if iteration.isdecimal() and len(iteration) <= 12 else None
-    if path is None:
-        choices = ", ".join(str(i) for i in sorted(recorded)) or "none yet"
+    recorded = folder.episode_iterations()
+    if not iteration.isdecimal() or len(iteration) > 12 or int(iteration) not in recorded:
+        choices = ", ".join(map(str, recorded)) or "none yet"
         raise RunFolderError(f"{folder.id} has no episode of iteration {iteration[:40]}; choose from: {choices}")
-    # A folder from elsewhere may hold links to other files of this machine.
-    if path.is_symlink() or folder.episodes.is_symlink() or not path.is_file() or path.stat().st_size > MAX_EPISODE:
-        raise RunFolderError(f"episode {iteration} of {folder.id} is no plain file of a sensible size")
-    return path.read_bytes()
+    return episode_bytes(folder, int(iteration))
 
 
 def designs_router(runs: Runs, export: Export) -> APIRouter:
