@@ -299,9 +299,7 @@ class Runs:
                 raise ValueError(f"{run_id} has finished: say how many iterations it shall do further")
             queued = slurm_launch(history.folder)
             if queued and from_start:
-                raise ValueError(
-                    f"{run_id} came from Slurm's queue, from which none begins anew: start a new run"
-                )
+                raise ValueError(f"{run_id} came from Slurm's queue, from which none begins anew: start a new run")
             if not queued:
                 self._launch(history.folder, further, from_start)
         if queued:

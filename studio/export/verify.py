@@ -79,7 +79,7 @@ def _read_and_compare(folder: Path, robot: str, model: mujoco.MjModel | None, on
 
 
 def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
-    """Return one check per property; a body or joint that is missing differs by infinity."""
+    """Return one check per property; a body or joint that is missing, or too many, differs by infinity."""
     properties = [
         ("masses", reference.masses, reading.masses),
         ("inertias", reference.inertias, reading.inertias),
@@ -93,6 +93,15 @@ def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
         for body, box in reference.extents.items()
     }
     checks.append(worst(f"{name}: collision extents (m)", POSITION_ALLOWED, extents))
+    added = {
+        what: math.inf
+        for ours, theirs in (
+            (reference.masses, reading.masses), (reference.limits, reading.limits),
+            (reference.extents, reading.extents),
+        )
+        for what in theirs.keys() - ours.keys()
+    }  # fmt: skip
+    checks.append(worst(f"{name}: nothing added", 0.0, added))
     positions: dict[str, float] = {}
     rotations: dict[str, float] = {}
     for posture in postures(reference.limits):
