@@ -22,6 +22,8 @@ POSTURES = 100
 POSITION_ALLOWED = 1e-9  # m
 ROTATION_ALLOWED = 1e-9
 RELATIVE_ALLOWED = 1e-9
+FRAME_MASS = 1e-3
+"""kg: what a link may weigh that stands for a place on a body, and is given a weight for readers that need one."""
 
 
 def verify(
@@ -93,19 +95,11 @@ def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
         for body, box in reference.extents.items()
     }
     checks.append(worst(f"{name}: collision extents (m)", POSITION_ALLOWED, extents))
-    added = {
-        what: math.inf
-        for ours, theirs in (
-            (reference.masses, reading.masses), (reference.limits, reading.limits),
-            (reference.extents, reading.extents),
-        )
-        for what in theirs.keys() - ours.keys()
-    }  # fmt: skip
-    checks.append(worst(f"{name}: nothing added", 0.0, added))
+    checks.append(worst(f"{name}: nothing added", 0.0, _added(reference, reading)))
     positions: dict[str, float] = {}
     rotations: dict[str, float] = {}
     for posture in postures(reference.limits):
-        found = reading.poses(posture)
+        found = reading.poses(posture | dict.fromkeys(reading.limits.keys() - posture.keys(), 0.0))
         for body, pose in reference.poses(posture).items():
             off = np.abs(found[body] - pose) if body in found else np.full((4, 4), math.inf)
             positions[body] = max(positions.get(body, 0.0), float(off[:3, 3].max()))
@@ -115,6 +109,17 @@ def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
         worst(f"{name}: positions in {POSTURES} postures (m)", POSITION_ALLOWED, positions),
         worst(f"{name}: rotations in {POSTURES} postures", ROTATION_ALLOWED, rotations),
     ]
+
+
+def _added(reference: Reading, reading: Reading) -> dict[str, float]:
+    """Return what `reading` has and `reference` has not, by name: bodies, joints, shapes, and the weight of frames."""
+    known = {**reference.poses(dict.fromkeys(reference.limits, 0.0)), **reference.masses, **reference.extents}
+    bodies = reading.masses.keys() - known.keys()
+    joints = reading.limits.keys() - reference.limits.keys()
+    shapes = reading.extents.keys() - reference.extents.keys()
+    weights = {name: reading.masses[name] for name in (reading.masses.keys() & known.keys()) - reference.masses.keys()}
+    heavy = {name: mass for name, mass in weights.items() if mass > FRAME_MASS}
+    return dict.fromkeys(bodies | joints | shapes, math.inf) | heavy
 
 
 def postures(limits: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:

@@ -97,7 +97,7 @@ def within(seconds: float) -> Iterator[None]:
 
 def attempt(action: Callable[[], object]) -> None:
     """Do what a trainer or a reader does; what it refuses, it refuses with an error of ours or of the system."""
-    with contextlib.suppress(RunFolderError, OSError):
+    with contextlib.suppress(ValueError, OSError):
         action()
 
 
