@@ -1,4 +1,4 @@
-"""The timeline: which design is seen, and how its episode is played."""
+"""The timeline: which design is seen."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -8,19 +8,17 @@ import viser
 from morph_core.history import History
 from studio.viewer import wording
 from studio.viewer.parts import has_printed_parts, shows_parts
-from studio.viewer.player import SPEEDS, Player
 
 _TRAIL = 6
 """Largest number of earlier designs that are shown at once."""
 
 
 class TimelinePanel:
-    """The panel that chooses an iteration of the run and controls how the player shows it."""
+    """The panel that chooses an iteration of the run and what is shown beside its design."""
 
     def __init__(
         self,
         gui: viser.GuiApi,
-        player: Player,
         *,
         on_choice: Callable[[], None],
         on_inject: Callable[[Callable[[], list[float]], viser.ClientHandle | None], None],
@@ -31,14 +29,13 @@ class TimelinePanel:
         `on_choice` is called when another design is to be shown, `on_inject` when the run is to continue from the shown
         one, and `on_refusal` with a sentence on what can't be done.
         """
-        self._player = player
         self._on_choice = on_choice
         self._on_refusal = on_refusal
         self._recorded: list[int] = []
         self._first = self._latest = 0
         self._history: History | None = None
         self.panel = gui.add_panel()
-        with self.panel.add_tab("Playback", viser.Icon.PLAYER_PLAY):
+        with self.panel.add_tab("Timeline", viser.Icon.TIMELINE):
             self.what = gui.add_html("")
             self.legend = gui.add_html("")
             self.follow = gui.add_checkbox("follow latest", True, hint="Show each new design as it comes (F)")
@@ -48,10 +45,6 @@ class TimelinePanel:
             self.recorded = gui.add_button_group(
                 "episodes", ("first", "back", "on", "last"), hint="Only iterations with a recorded episode"
             )
-            self.play = gui.add_button("Pause playback", icon=viser.Icon.PLAYER_PAUSE, hint="Space or K")
-            self.time = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
-            self.speed = gui.add_slider("speed [×]", *SPEEDS, 0.1, 1.0)
-            self.loop = gui.add_checkbox("loop", True)
             self.printed = gui.add_checkbox(
                 "printed parts", True, hint="What is exported to be printed; otherwise the simulated collision shapes"
             )
@@ -70,10 +63,6 @@ class TimelinePanel:
         self.follow.on_update(lambda event: on_choice() if event.client else None)
         self.iteration.on_update(lambda event: self._pick(event.client) if event.client else None)
         self.recorded.on_click(lambda event: self._jump(event.target.value))
-        self.play.on_click(lambda _: self.toggle_playback())
-        self.time.on_update(lambda event: self._scrub(event.client) if event.client else None)
-        self.speed.on_update(lambda event: self._set_speed(event.client) if event.client else None)
-        self.loop.on_update(lambda _: player.set_looping(self.loop.value))
         for layer in layers:
             layer.on_update(lambda _: on_choice())
         self.inject.on_click(lambda event: on_inject(self._chosen_phi, event.client))
@@ -133,24 +122,10 @@ class TimelinePanel:
         step = max(1, math.ceil(len(before) / _TRAIL))
         return before[::step]
 
-    def show_time(self, seconds: float, duration: float) -> None:
-        """Set the time slider to `seconds` of an episode of `duration` seconds; hide it where there is none."""
-        for handle in (self.play, self.time, self.speed, self.loop):
-            handle.visible = duration > 0
-        self.time.max = max(round(duration, 2), 0.01)
-        self.time.value = round(seconds, 2)
-
     def show_legend(self, legend: str) -> None:
         """Show what the colours of the scene mean; `legend` is HTML."""
         if legend != self.legend.content:
             self.legend.content = legend
-
-    def toggle_playback(self) -> None:
-        """Pause the episode while it plays, else play it."""
-        playing = not self._player.playing
-        self._player.play(playing)
-        self.play.label = "Pause playback" if playing else "Play"
-        self.play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
 
     def hold(self) -> None:
         """Stay at the shown iteration instead of following the latest one."""
@@ -197,24 +172,6 @@ class TimelinePanel:
         self.follow.value = False
         self.iteration.value = goal
         self._on_choice()
-
-    def _scrub(self, client: viser.ClientHandle | None) -> None:
-        value = self.time.value
-        if not 0 <= value <= self.time.max:
-            self._on_refusal(f"the time must lie inside [0, {self.time.max:g}] s, not {value:g}", client)
-            return
-        if self._player.playing:
-            self.toggle_playback()
-        self._player.seek(value)
-
-    def _set_speed(self, client: viser.ClientHandle | None) -> None:
-        value = self.speed.value
-        if not SPEEDS[0] <= value <= SPEEDS[1]:
-            self.speed.value = 1.0
-            self._player.set_speed(1.0)
-            self._on_refusal(f"the speed must lie inside [{SPEEDS[0]:g}, {SPEEDS[1]:g}] ×, not {value:g}", client)
-            return
-        self._player.set_speed(value)
 
     def _chosen_phi(self) -> list[float]:
         if self._history is None:

@@ -20,6 +20,7 @@ from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
 from studio.viewer.legend import legend_of
 from studio.viewer.log import LogPanel
+from studio.viewer.playback import PlaybackPanel
 from studio.viewer.player import Player
 from studio.viewer.run import NOT_LIVE, RunPanel
 from studio.viewer.scene import light_up
@@ -109,10 +110,10 @@ class Viewer:
                 on_refusal=self.refuse,
             )
         self.player = Player(server, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
-        self.timeline = TimelinePanel(
-            gui, self.player, on_choice=self._refresh, on_inject=self._inject, on_refusal=self.refuse
-        )
+        self.timeline = TimelinePanel(gui, on_choice=self._refresh, on_inject=self._inject, on_refusal=self.refuse)
         self.timeline.panel.dock_below(gui.main_panel)
+        self.playback = PlaybackPanel(gui, self.player, on_refusal=self.refuse)
+        self.playback.panel.dock_below(self.timeline.panel)
         self._add_commands(gui)
         self.chooser.on_update(lambda event: self._choose(event.client) if event.client else None)
         self._refresh()
@@ -270,7 +271,7 @@ class Viewer:
         run.on_trigger(lambda event: self.run.toggle(event.client) if self._selected else None)
         for hotkey in ("space", "K"):
             playback = gui.add_command("Play or pause the episode", hotkey=hotkey, icon=viser.Icon.PLAYER_PLAY)
-            playback.on_trigger(lambda _: self.timeline.toggle_playback())
+            playback.on_trigger(lambda _: self.playback.toggle_playback())
         branch = gui.add_command("Branch from the shown iteration", hotkey="B", icon=viser.Icon.GIT_BRANCH)
         branch.on_trigger(lambda event: self._open_branch(event.client) if self._selected else None)
         follow = gui.add_command("Follow the latest design", hotkey="F", icon=viser.Icon.PLAYER_TRACK_NEXT)
@@ -394,7 +395,7 @@ class Viewer:
             self._pending[run_id] = open_ones
 
     def _show_time(self, seconds: float, duration: float) -> None:
-        self.timeline.show_time(seconds, duration)
+        self.playback.show_time(seconds, duration)
         if self.player.take:
             self.timeline.show_legend(legend_of(self.player.take))
 

@@ -559,12 +559,12 @@ def test_playback_pauses_seeks_and_loops(
 ) -> None:
     page.show(episode)
     page.take(lambda take: take.frames == 13)
-    timeline, player = page.viewer.timeline, page.viewer.player
-    assert eventually(lambda: timeline.time.value > 0)  # it plays while somebody watches
-    wire(timeline.time, 0.19)  # not the 0.2 s of the first report: viser passes on changes only
+    playback, player = page.viewer.playback, page.viewer.player
+    assert eventually(lambda: playback.time.value > 0)  # it plays while somebody watches
+    wire(playback.time, 0.19)  # not the 0.2 s of the first report: viser passes on changes only
     assert eventually(lambda: not player.playing)
     assert eventually(lambda: player._robot._instant == 6)
-    assert timeline.play.label == "Play"
+    assert playback.play.label == "Play"
     assert player._contact.node_names == ["/contact/sphere"]
 
 
@@ -573,14 +573,14 @@ def test_values_from_the_wire_beyond_their_slider_are_refused(
 ) -> None:
     page.show(episode)
     page.take(lambda take: take.frames == 13)
-    timeline = page.viewer.timeline
-    wire(timeline.speed, 99.0)
+    timeline, playback = page.viewer.timeline, page.viewer.playback
+    wire(playback.speed, 99.0)
     assert eventually(lambda: "speed must lie inside [0.1, 4]" in page.viewer.notice.content)
-    assert timeline.speed.value == 1.0
+    assert playback.speed.value == 1.0
     wire(timeline.iteration, 4000)
     assert eventually(lambda: "there is no iteration 4000; choose 0 to 4" in page.viewer.notice.content)
     assert timeline.shown_iteration == 4
-    wire(timeline.time, math.nan)
+    wire(playback.time, math.nan)
     assert eventually(lambda: "time must lie inside" in page.viewer.notice.content)
     assert page.viewer.player.take is not None
     assert page.commands == []
