@@ -15,6 +15,7 @@ from studio.runs import Row, Summary
 from studio.shelf.marks import Marks, MarksChange
 from studio.shelf.traces import Overlay
 from studio.shelf.trash import Trashed
+from studio.viewer.view import Seen, View
 from studio.what_if import SweepPoint, WhatIf, Wish
 
 MAX_BODY = 1 << 20
@@ -200,7 +201,7 @@ def reply(message: object, status: int = 200) -> Response:
 
 _KINDS = (
     StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Metrics, Designs, Checked, Health, Refusal,
-    AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
+    AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay, View, Seen,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

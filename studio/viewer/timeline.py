@@ -8,6 +8,7 @@ import viser
 from morph_core.history import History
 from studio.viewer import wording
 from studio.viewer.parts import has_printed_parts, shows_parts
+from studio.viewer.view import Remembered
 
 _TRAIL = 6
 """Largest number of earlier designs that are shown at once."""
@@ -66,6 +67,11 @@ class TimelinePanel:
         for layer in layers:
             layer.on_update(lambda _: on_choice())
         self.inject.on_click(lambda event: on_inject(self._chosen_phi, event.client))
+
+    @property
+    def remembered(self) -> dict[str, Remembered]:
+        """The inputs that a browser finds again as it left them."""
+        return {"ghost": self.ghost, "trail": self.trail, "population": self.population}
 
     @property
     def shown_iteration(self) -> int:
