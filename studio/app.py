@@ -25,6 +25,7 @@ from starlette.types import ASGIApp
 from morph_core.history import History
 from morph_core.protocol import Status
 from morph_core.run_folder import RunFolderError
+from studio.album import Album
 from studio.api.designs import designs_router, imports_router
 from studio.api.docs import docs_router
 from studio.api.events import events_router
@@ -43,6 +44,7 @@ from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
 from studio.shelf import trash
+from studio.shelf.thumbnails import Thumbnails
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
@@ -85,7 +87,7 @@ class _GuardedApp(FastAPI):
         return Guard(super().build_middleware_stack(), self.state.access)
 
 
-def make_viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Shows:
+def make_viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: Album) -> Shows:
     """Return the studio's viewer, with what its users ask for passed on to the runs."""
 
     def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
@@ -103,6 +105,7 @@ def make_viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Sho
         on_export=on_export,
         answers=what_ifs,
         family=lambda run_id: tree_of(run_id, runs.parents()),
+        album=album,
     )
 
 
@@ -123,7 +126,7 @@ def create_app(
     *,
     runs: Runs | None = None,
     launcher: Slurm | None = None,
-    viewer: Callable[[viser.ViserServer, Runs, WhatIfs], Shows] = make_viewer,
+    viewer: Callable[[viser.ViserServer, Runs, WhatIfs, Album], Shows] = make_viewer,
 ) -> FastAPI:
     """Return the application; `app.state` holds `access`, `runs`, `evaluator` and, while it runs, `viser`.
 
@@ -132,6 +135,8 @@ def create_app(
     reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
     what_ifs = WhatIfs(evaluator)
     watched = runs or Runs(settings.runs, reserve.spawn, launcher)
+    thumbnails = Thumbnails()
+    album = Album(watched, thumbnails)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
 
     @contextlib.asynccontextmanager
@@ -147,7 +152,7 @@ def create_app(
                     reserve.load()
             app.state.viser = GuardedViser()
             ends.callback(app.state.viser.stop)
-            shown, done = viewer(app.state.viser.server, watched, what_ifs), threading.Event()
+            shown, done = viewer(app.state.viser.server, watched, what_ifs, album), threading.Event()
             ends.callback(shown.stop)
             painter = threading.Thread(target=keep_showing, args=(shown, watched, done), name="viewer", daemon=True)
             painter.start()
@@ -177,7 +182,7 @@ def create_app(
         events_router(watched, stopping),
         what_if_router(watched, what_ifs),
         study_router(report),
-        shelf_router(watched),
+        shelf_router(watched, thumbnails),
         viewer_router(),
         docs_router(),
     ):
