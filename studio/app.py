@@ -25,6 +25,7 @@ from starlette.types import ASGIApp
 from morph_core.history import History
 from morph_core.protocol import Status
 from morph_core.run_folder import RunFolderError
+from studio.album import Album
 from studio.api.designs import designs_router, imports_router
 from studio.api.desks import desks_router
 from studio.api.docs import docs_router
@@ -45,6 +46,7 @@ from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
 from studio.shelf import trash
+from studio.shelf.thumbnails import Thumbnails
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
@@ -87,7 +89,7 @@ class _GuardedApp(FastAPI):
         return Guard(super().build_middleware_stack(), self.state.access)
 
 
-def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Desks:
+def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: Album) -> Desks:
     """Return the viewers of all browsers, with what their users ask for passed on to the runs."""
 
     def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
@@ -106,6 +108,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Desk
             on_export=on_export,
             answers=what_ifs,
             family=lambda run_id: tree_of(run_id, runs.parents()),
+            album=album,
         )
 
     return Desks(server, make)
@@ -128,7 +131,7 @@ def create_app(
     *,
     runs: Runs | None = None,
     launcher: Slurm | None = None,
-    desks: Callable[[viser.ViserServer, Runs, WhatIfs], Shows] = make_desks,
+    desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album], Shows] = make_desks,
 ) -> FastAPI:
     """Return the application; `app.state` holds `access`, `runs`, `evaluator` and, while it runs, `viser` and `desks`.
 
@@ -137,6 +140,8 @@ def create_app(
     reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
     what_ifs = WhatIfs(evaluator)
     watched = runs or Runs(settings.runs, reserve.spawn, launcher)
+    thumbnails = Thumbnails()
+    album = Album(watched, thumbnails)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
 
     @contextlib.asynccontextmanager
@@ -152,7 +157,7 @@ def create_app(
                     reserve.load()
             app.state.viser = GuardedViser()
             ends.callback(app.state.viser.stop)
-            app.state.desks, done = desks(app.state.viser.server, watched, what_ifs), threading.Event()
+            app.state.desks, done = desks(app.state.viser.server, watched, what_ifs, album), threading.Event()
             ends.callback(app.state.desks.stop)
             painter = threading.Thread(
                 target=keep_showing, args=(app.state.desks, watched, done), name="desks", daemon=True
@@ -184,7 +189,7 @@ def create_app(
         events_router(watched, stopping),
         what_if_router(watched, what_ifs),
         study_router(report),
-        shelf_router(watched),
+        shelf_router(watched, thumbnails),
         desks_router(),
         viewer_router(),
         docs_router(),

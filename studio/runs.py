@@ -19,7 +19,7 @@ from studio.commands import check_command
 from studio.inquest import Inquest
 from studio.new_run import StartRun, prepare_run
 from studio.shelf import trash
-from studio.shelf.marks import FILE, Marks, MarksChange, changed, read_marks, write_marks
+from studio.shelf.marks import FILE, Marks, MarksChange, changed, read_marks, with_star, write_marks
 from studio.shelf.outcome import Outcome, evaluations_of, landmarks, outcome_of
 from studio.shelf.trash import Trashed
 from studio.study.local import CANCELLED
@@ -222,6 +222,18 @@ class Runs:
         folder = find_run(self.folder, run_id)
         with self._lock:
             marks = changed(read_marks(folder.path), change)
+            write_marks(folder.path, marks)
+        return marks
+
+    def star(self, run_id: str, design: str, starred: bool) -> Marks:
+        """Star a design of a run, or take its star away; RunFolderError if there is no such design.
+
+        Raise ValueError, nothing changed, if too many are starred.
+        """
+        iteration, _ = self.get(run_id).design(design)
+        folder = find_run(self.folder, run_id)
+        with self._lock:
+            marks = with_star(read_marks(folder.path), iteration, starred)
             write_marks(folder.path, marks)
         return marks
 

@@ -10,6 +10,7 @@ from fastapi import Request, Response
 from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Progress
 from studio.fields import Field
 from studio.log import LogEntry
+from studio.moments import Moment
 from studio.new_run import Number, StartRun
 from studio.runs import Row, Summary
 from studio.shelf.marks import Marks, MarksChange
@@ -200,8 +201,9 @@ def reply(message: object, status: int = 200) -> Response:
 
 
 _KINDS = (
-    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Metrics, Designs, Checked, Health, Refusal,
-    AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay, View, Seen,
+    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Moment, Metrics, Designs, Checked, Health,
+    Refusal, AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
+    View, Seen,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

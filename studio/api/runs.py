@@ -10,6 +10,7 @@ from morph_core.run_folder import RunFolderError
 from studio.api.messages import Accepted, ResumeRun, RunState, body_of, gives, reply, sender_of, takes
 from studio.branches import children_of
 from studio.log import LogEntry, log_of
+from studio.moments import Moment, moment_of
 from studio.new_run import StartRun
 from studio.runs import Runs, Summary
 
@@ -76,6 +77,14 @@ def runs_router(runs: Runs) -> APIRouter:
     @router.get("/{run_id}/log", responses=gives(list[LogEntry]), summary="What was done to a run, oldest first")
     def log(run_id: str) -> Response:
         return reply(log_of(runs.get(run_id)))
+
+    @router.get(
+        "/{run_id}/moments/{which}",
+        responses=gives(Moment),
+        summary="A run at best, latest or an iteration: its design, and what was in force",
+    )
+    def moment(run_id: str, which: str) -> Response:
+        return reply(moment_of(runs.get(run_id), which))
 
     @router.post(
         "/{run_id}/resume",

@@ -14,7 +14,13 @@ from studio.viewer.figure import Figure, Mesh
 Host = viser.ViserServer | viser.ClientHandle
 """Whose scene and panels these are: those of one browser, or of all."""
 CONTACT_COLOUR = (225, 30, 30)
-GHOST_COLOUR = (128, 142, 170)
+GHOST_COLOURS = {
+    "ghost": (128, 142, 170),
+    "trail": (86, 180, 233),
+    "explored": (230, 159, 0),
+    "generation": (0, 158, 115),
+}
+"""Colours of the designs that stand beside the one in front, by their layer: those of Okabe and Ito."""
 FIELD_OF_VIEW = math.radians(40)
 """Vertical field of view of the camera, in radians."""
 USUAL_ASPECT = 0.72

@@ -18,8 +18,10 @@ from studio.new_run import StartRun
 from studio.viewer import wording
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
+from studio.viewer.gallery import Album, GalleryPanel
 from studio.viewer.legend import legend_of
 from studio.viewer.log import LogPanel
+from studio.viewer.looks import LooksPanel
 from studio.viewer.playback import PlaybackPanel
 from studio.viewer.player import Player
 from studio.viewer.run import NOT_LIVE, RunPanel
@@ -48,7 +50,7 @@ class Viewer:
     `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)`,
     `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
     one)` do what people ask for; they refuse by a ValueError, whose sentence is shown. `answers` say how good a policy
-    is on a changed design, and `family(run_id)` is the tree in which a run stands.
+    is on a changed design, `family(run_id)` is the tree in which a run stands, and `album` has pictures and stars.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class Viewer:
         on_export: Callable[[str, str, Sequence[str] | None, list[float] | None], Bundle],
         answers: Answers,
         family: Callable[[str], Member | None],
+        album: Album,
     ) -> None:
         self._on_command = on_command
         self._on_start = on_start
@@ -69,6 +72,7 @@ class Viewer:
         self._on_branch = on_branch
         self._on_export = on_export
         self._family = family
+        self._album = album
         self._tree: tuple[object, Member | None] = (None, None)
         self._known: set[str] = set()
         self._lock = threading.RLock()
@@ -103,6 +107,8 @@ class Viewer:
         with left.add_tab("Steer", viser.Icon.ADJUSTMENTS):
             self.steer = SteerPanel(gui, send=self._send)
             self.design = DesignPanel(gui, send=self._send)
+        gallery = left.add_tab("Gallery", viser.Icon.PHOTO)
+        self.gallery = GalleryPanel(gui, gallery, album, on_turn=self._turn_to)
         with left.add_tab("What if", viser.Icon.HAND_MOVE):
             self.what_if = WhatIfPanel(
                 gui,
@@ -115,7 +121,16 @@ class Viewer:
                 on_refusal=self.refuse,
             )
         self.player = Player(host, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
-        self.timeline = TimelinePanel(gui, on_choice=self._refresh, on_inject=self._inject, on_refusal=self.refuse)
+        self.timeline = TimelinePanel(
+            gui,
+            on_choice=self._turn,
+            on_move=self._show_scene,
+            on_inject=self._inject,
+            on_star=self._star,
+            on_refusal=self.refuse,
+        )
+        look = self.timeline.panel.add_tab("Look", viser.Icon.PALETTE)
+        self.looks = LooksPanel(gui, look, on_choice=self._refresh)
         self.timeline.panel.dock_below(gui.main_panel)
         self.playback = PlaybackPanel(gui, self.player, on_refusal=self.refuse)
         self.playback.panel.dock_below(self.timeline.panel)
@@ -193,12 +208,14 @@ class Viewer:
     def stop(self) -> None:
         """End the viewer's threads; the server is left to whoever started it."""
         self.what_if.stop()
+        self.timeline.stop()
+        self.gallery.stop()
         self.player.stop()
 
     @property
     def _remembered(self) -> dict[str, Remembered]:
         """The inputs whose values are a person's habits, by the names under which they are kept."""
-        return {**self.timeline.remembered, **self.playback.remembered}
+        return {**self.timeline.remembered, **self.looks.remembered, **self.playback.remembered}
 
     # --- what people ask for ---
 
@@ -253,6 +270,15 @@ class Viewer:
 
     def _inject(self, phi: Callable[[], list[float]], client: viser.ClientHandle | None) -> None:
         self._send(lambda: [InjectDesign(phi())], client)
+
+    def _star(self, iteration: int, starred: bool, client: viser.ClientHandle | None) -> None:
+        if self._selected is None:
+            return
+        try:
+            self._album.star(self._selected, iteration, starred)
+        except (ValueError, OSError) as error:
+            self.refuse(str(error), client)
+        self._refresh()
 
     def _export(self, which: str, formats: Sequence[str]) -> Bundle:
         run_id = self._selected
@@ -332,17 +358,30 @@ class Viewer:
             self.steer.update(history, status)
             self.design.update(history, status)
             self.export.update(history)
-            self.timeline.update(history, live=live, by_hand=self.what_if.is_changed)
+            starred = self._album.starred(history)
+            by_hand = self.what_if.is_changed
+            self.timeline.update(history, live=live, starred=starred, by_hand=by_hand)
             if self._sought is not None:
                 self.timeline.turn_to(self._sought)
                 self._sought = None
-                self.timeline.update(history, live=live, by_hand=self.what_if.is_changed)
+                self.timeline.update(history, live=live, starred=starred, by_hand=by_hand)
+            self.looks.update(history)
+            self.gallery.update(history)
             shown, phi = self._shown_design(history)
             self.run.offer_branch(shown)
             self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
             self.what_if.update(history, shown, phi, live=live, following=self.timeline.follow.value)
             self.player.show(self._shot(history, shown, phi))
+
+    def _turn(self) -> None:
+        """Show another design: first the body, as a person waits for that, then all that is said of it."""
+        self._show_scene()
+        self._refresh()
+
+    def _turn_to(self, iteration: int) -> None:
+        self.timeline.turn_to(iteration)
+        self._turn()
 
     def _show_scene(self) -> None:
         """Bring the scene alone up to date, as a body that is dragged must move at once."""
@@ -364,6 +403,8 @@ class Viewer:
         self.design.clear()
         self.export.clear()
         self.what_if.clear()
+        self.looks.clear()
+        self.gallery.clear()
         if run_id is None:
             self.traces.clear("no data yet: press Start")
             self.timeline.clear("what a run begins with, in its start posture")
@@ -413,11 +454,11 @@ class Viewer:
             phi=tuple(in_front.tolist()),
             episode=None if self.what_if.open else recorded,
             played=self.what_if.episode if self.what_if.open else None,
-            ghost=before if self.timeline.ghost.value and (changed or shown > history.begins_at or recorded) else None,
+            ghost=before if self.looks.ghost.value and (changed or shown > history.begins_at or recorded) else None,
             ghost_name=name,
-            trail=tuple(self.timeline.earlier(history)),
-            printed=self.timeline.printed.value,
-            population=self.timeline.population.value,
+            printed=self.looks.printed.value,
+            tint=self.looks.tint(history, shown, in_front),
+            beside=self.looks.beside(history, shown),
         )
 
     def _settle_pending(self) -> None:

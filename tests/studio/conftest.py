@@ -27,6 +27,7 @@ from morph_core.history import History
 from morph_core.protocol import FORMAT, AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
 from morph_core.what_if import Measured
+from studio.album import Album
 from studio.app import create_app
 from studio.branches import Member
 from studio.bridge import MAX_MESSAGE
@@ -234,6 +235,30 @@ class Oracle:
 
 
 @dataclass
+class Stars:
+    """Stars in memory, and pictures of nothing, of which it notes the designs."""
+
+    stars: dict[str, set[int]] = field(default_factory=dict)
+    drawn: list[Sequence[float]] = field(default_factory=list)
+    refusal: str | None = None
+
+    def starred(self, history: History) -> list[int]:
+        return sorted(self.stars.get(history.folder.id, set()))
+
+    def star(self, run_id: str, iteration: int, starred: bool) -> None:
+        if self.refusal:
+            raise ValueError(self.refusal)
+        stars = self.stars.setdefault(run_id, set())
+        stars.add(iteration) if starred else stars.discard(iteration)
+
+    def picture(self, history: History, phi: Sequence[float]) -> bytes:
+        if self.refusal:
+            raise ValueError(self.refusal)
+        self.drawn.append(phi)
+        return b"a picture"
+
+
+@dataclass
 class Page:
     """A viewer, and what it has asked for."""
 
@@ -247,6 +272,7 @@ class Page:
     """Designs changed by hand that were exported."""
     branched: list[tuple[str, int, list[float]]] = field(default_factory=list)
     answers: Oracle = field(default_factory=Oracle)
+    album: Stars = field(default_factory=Stars)
     refusal: str | None = None
     family: Member | None = None
 
@@ -285,7 +311,7 @@ def page() -> Iterator[Page]:
         heed(lambda: page.branched.append((run_id, iteration, phi)))
         return NAME
 
-    answers = Oracle()
+    answers, album = Oracle(), Stars()
     viewer = Viewer(
         server,
         on_command=lambda run_id, command, _: heed(lambda: page.commands.append((run_id, command))),
@@ -295,8 +321,9 @@ def page() -> Iterator[Page]:
         on_export=export,
         answers=answers,
         family=lambda _: page.family,
+        album=album,
     )
-    page = Page(server, viewer, answers=answers)
+    page = Page(server, viewer, answers=answers, album=album)
     yield page
     viewer.stop()
     server.stop()
@@ -358,7 +385,7 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     """Serve the real application on a free port; end the stand-ins it has started."""
     viewers: list[Blackboard] = []
 
-    def desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Blackboard:
+    def desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, _: Album) -> Blackboard:
         viewers.append(Blackboard(server, runs, what_ifs))
         return viewers[0]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 import viser
-from conftest import NAME, Oracle, Served, eventually, make_run
+from conftest import NAME, Oracle, Served, Stars, eventually, make_run
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 from websockets.typing import Subprotocol
@@ -56,6 +56,7 @@ class Room:
             on_export=lambda *_: Bundle("design.zip", {}, [], b"zip"),
             answers=Oracle(),
             family=lambda _: None,
+            album=Stars(),
         )
         self.viewers.append(viewer)
         return viewer

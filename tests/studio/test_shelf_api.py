@@ -47,7 +47,9 @@ def test_the_table_says_what_each_run_has_come_to(served: Served, ended: RunFold
     assert outcome["best"] == outcome["last"] == {
         "iteration": 3, "success": 0.5, "episode_return": 0.0, "phi": [2.7] * 5,
     }  # fmt: skip
-    assert row["marks"] == {"starred": False, "name": "", "note": "", "tags": [], "archived": False}
+    assert row["marks"] == {
+        "starred": False, "name": "", "note": "", "tags": [], "archived": False, "starred_designs": [],
+    }  # fmt: skip
 
 
 def test_a_table_that_has_not_changed_is_not_sent_again(served: Served, ended: RunFolder) -> None:
@@ -66,6 +68,7 @@ def test_marks_are_changed_one_by_one_and_shown_wherever_runs_are_listed(served:
     marks = served.client.patch(address, json={"note": "α = .3", "archived": True}).json()
     assert marks == {
         "starred": True, "name": "Long <b>links</b>", "note": "α = .3", "tags": ["to print"], "archived": True,
+        "starred_designs": [],
     }  # fmt: skip
     (listed,) = (line for line in served.client.get("/api/runs").json() if line["id"] == ended.id)
     row = row_of(served, ended.id)
