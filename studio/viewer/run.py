@@ -46,12 +46,12 @@ class RunPanel:
         self.state = gui.add_html("")
         self.failure = gui.add_html("", visible=False)
         self.bar = gui.add_progress_bar(0.0, color="green")
-        self.numbers = gui.add_html("")
         self.pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Hold after this iteration (P)")
         self.resume = gui.add_button("Resume", icon=viser.Icon.PLAYER_PLAY, color="green", hint="Go on (P)")
         self.more = gui.add_button_group(
             "run", tuple(MORE), hint="Step: one iteration, then hold. Stop: save and end; it can be resumed."
         )
+        self.numbers = gui.add_html("")
         self.branch = gui.add_button(
             "Branch from here", icon=viser.Icon.GIT_BRANCH, color="gray",
             hint="A new run that goes on from the iteration that the timeline shows, with other bounds or settings (B)",
