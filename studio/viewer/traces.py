@@ -54,7 +54,7 @@ class TracesPanel:
         for order, trace in traces.items():
             if order not in self._charts:
                 self._charts[order] = Chart(self._gui, self._tab, trace, order)
-            self._charts[order].update(history)
+            self._charts[order].update(history, iteration)
 
 
 def _frame(trace: Trace | None) -> object:

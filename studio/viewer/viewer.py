@@ -18,37 +18,44 @@ from studio.new_run import StartRun
 from studio.viewer import wording
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
+from studio.viewer.gallery import Album, GalleryPanel
 from studio.viewer.legend import legend_of
 from studio.viewer.log import LogPanel
+from studio.viewer.looks import LooksPanel
+from studio.viewer.playback import PlaybackPanel
 from studio.viewer.player import Player
 from studio.viewer.run import NOT_LIVE, RunPanel
-from studio.viewer.scene import light_up
+from studio.viewer.scene import Host, light_up
 from studio.viewer.start import StartPanel
 from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
 from studio.viewer.timeline import TimelinePanel
 from studio.viewer.traces import TracesPanel
+from studio.viewer.view import Remembered, View, put_back, ticks_of
 from studio.viewer.what_if import Answers, WhatIfPanel
 
 NEW_RUN = "+ new run"
 _START_PATIENCE = 15.0
 """Seconds after which a started run that never showed up is reported."""
 
+_GONE = "Choose another run, or bring this one back on the page of all runs: then it is shown again."
+
 log = logging.getLogger(__name__)
 
 
 class Viewer:
-    """The panels and the scene on a viser server; `show` is called a few times a second with fresh histories.
+    """The panels and the scene of one browser, or of all that a viser server has; `show` is called a few times a second
+    with fresh histories.
 
     `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)`,
     `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
     one)` do what people ask for; they refuse by a ValueError, whose sentence is shown. `answers` say how good a policy
-    is on a changed design, and `family(run_id)` is the tree in which a run stands.
+    is on a changed design, `family(run_id)` is the tree in which a run stands, and `album` has pictures and stars.
     """
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         *,
         on_command: Callable[[str, AnyCommand, str], object],
         on_start: Callable[[StartRun], str],
@@ -57,27 +64,30 @@ class Viewer:
         on_export: Callable[[str, str, Sequence[str] | None, list[float] | None], Bundle],
         answers: Answers,
         family: Callable[[str], Member | None],
+        album: Album,
     ) -> None:
-        self._server = server
         self._on_command = on_command
         self._on_start = on_start
         self._on_resume = on_resume
         self._on_branch = on_branch
         self._on_export = on_export
         self._family = family
+        self._album = album
         self._tree: tuple[object, Member | None] = (None, None)
+        self._known: set[str] = set()
         self._lock = threading.RLock()
         self._histories: Mapping[str, History] = {}
         self._statuses: Mapping[str, tuple[Status, str]] = {}
         self._suggested: str | None = None
+        self._sought: int | None = None
         self._selected: str | None = None
         self._awaited_since = 0.0
         self._labels: dict[str, str] = {}
         self._pending: dict[str, list[tuple[AnyCommand, int]]] = {}
-        gui = server.gui
+        gui = host.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(47, 127, 209))
         gui.set_panel_label("Run and playback")
-        light_up(server)
+        light_up(host)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(350)
         self.chooser = gui.add_dropdown("run", [NEW_RUN], hint="Every run in the runs folder, newest first")
@@ -97,6 +107,8 @@ class Viewer:
         with left.add_tab("Steer", viser.Icon.ADJUSTMENTS):
             self.steer = SteerPanel(gui, send=self._send)
             self.design = DesignPanel(gui, send=self._send)
+        gallery = left.add_tab("Gallery", viser.Icon.PHOTO)
+        self.gallery = GalleryPanel(gui, gallery, album, on_turn=self._turn_to)
         with left.add_tab("What if", viser.Icon.HAND_MOVE):
             self.what_if = WhatIfPanel(
                 gui,
@@ -108,11 +120,20 @@ class Viewer:
                 on_export=self._export_changed,
                 on_refusal=self.refuse,
             )
-        self.player = Player(server, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
+        self.player = Player(host, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
         self.timeline = TimelinePanel(
-            gui, self.player, on_choice=self._refresh, on_inject=self._inject, on_refusal=self.refuse
+            gui,
+            on_choice=self._turn,
+            on_move=self._show_scene,
+            on_inject=self._inject,
+            on_star=self._star,
+            on_refusal=self.refuse,
         )
+        look = self.timeline.panel.add_tab("Look", viser.Icon.PALETTE)
+        self.looks = LooksPanel(gui, look, on_choice=self._refresh)
         self.timeline.panel.dock_below(gui.main_panel)
+        self.playback = PlaybackPanel(gui, self.player, on_refusal=self.refuse)
+        self.playback.panel.dock_below(self.timeline.panel)
         self._add_commands(gui)
         self.chooser.on_update(lambda event: self._choose(event.client) if event.client else None)
         self._refresh()
@@ -123,11 +144,15 @@ class Viewer:
         return self._selected
 
     def show(
-        self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
+        self,
+        histories: Mapping[str, History],
+        statuses: Mapping[str, tuple[Status, str]],
+        current: str | None = None,
     ) -> None:
         """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
         with self._lock:
             self._histories, self._statuses = dict(histories), dict(statuses)
+            self._known |= self._histories.keys()
             if current != self._suggested:
                 self._suggested = current
                 if current is not None:
@@ -136,15 +161,35 @@ class Viewer:
             self._refresh()
 
     def turn_to(self, iteration: int) -> None:
-        """Show the design of an iteration of the run on screen."""
+        """Show the design of an iteration of the run on screen, now or as soon as the run is known."""
         with self._lock:
-            self.timeline.turn_to(iteration)
+            self._sought = iteration
             self._refresh()
+
+    def open(self, run_id: str | None, iteration: int | None = None) -> None:
+        """Open the run of that name, or the start panel if it is None, and show the design of an iteration."""
+        with self._lock:
+            self.select(run_id)
+            if iteration is not None:
+                self.turn_to(iteration)
+
+    @property
+    def view(self) -> View:
+        """Return what is seen, as it can be put back."""
+        held = self._selected is not None and not self.timeline.follow.value
+        shown = self._sought if self._sought is not None else self.timeline.shown_iteration if held else None
+        return View(run=self._selected, iteration=shown, ticks=ticks_of(self._remembered))
+
+    def put_back(self, view: View) -> None:
+        """Show what `view` says."""
+        with self._lock:
+            put_back(self._remembered, view.ticks)
+            self.open(view.run, view.iteration)
 
     def select(self, run_id: str | None) -> None:
         """Open the run of that name, or the start panel if it is None."""
         with self._lock:
-            self._selected = run_id
+            self._selected, self._sought = run_id, None
             self._awaited_since = time.monotonic()
             self.tell(None)
             self._refresh()
@@ -163,7 +208,14 @@ class Viewer:
     def stop(self) -> None:
         """End the viewer's threads; the server is left to whoever started it."""
         self.what_if.stop()
+        self.timeline.stop()
+        self.gallery.stop()
         self.player.stop()
+
+    @property
+    def _remembered(self) -> dict[str, Remembered]:
+        """The inputs whose values are a person's habits, by the names under which they are kept."""
+        return {**self.timeline.remembered, **self.looks.remembered, **self.playback.remembered}
 
     # --- what people ask for ---
 
@@ -219,6 +271,15 @@ class Viewer:
     def _inject(self, phi: Callable[[], list[float]], client: viser.ClientHandle | None) -> None:
         self._send(lambda: [InjectDesign(phi())], client)
 
+    def _star(self, iteration: int, starred: bool, client: viser.ClientHandle | None) -> None:
+        if self._selected is None:
+            return
+        try:
+            self._album.star(self._selected, iteration, starred)
+        except (ValueError, OSError) as error:
+            self.refuse(str(error), client)
+        self._refresh()
+
     def _export(self, which: str, formats: Sequence[str]) -> Bundle:
         run_id = self._selected
         if run_id is None:
@@ -270,7 +331,7 @@ class Viewer:
         run.on_trigger(lambda event: self.run.toggle(event.client) if self._selected else None)
         for hotkey in ("space", "K"):
             playback = gui.add_command("Play or pause the episode", hotkey=hotkey, icon=viser.Icon.PLAYER_PLAY)
-            playback.on_trigger(lambda _: self.timeline.toggle_playback())
+            playback.on_trigger(lambda _: self.playback.toggle_playback())
         branch = gui.add_command("Branch from the shown iteration", hotkey="B", icon=viser.Icon.GIT_BRANCH)
         branch.on_trigger(lambda event: self._open_branch(event.client) if self._selected else None)
         follow = gui.add_command("Follow the latest design", hotkey="F", icon=viser.Icon.PLAYER_TRACK_NEXT)
@@ -297,13 +358,30 @@ class Viewer:
             self.steer.update(history, status)
             self.design.update(history, status)
             self.export.update(history)
-            self.timeline.update(history, live=live, by_hand=self.what_if.is_changed)
+            starred = self._album.starred(history)
+            by_hand = self.what_if.is_changed
+            self.timeline.update(history, live=live, starred=starred, by_hand=by_hand)
+            if self._sought is not None:
+                self.timeline.turn_to(self._sought)
+                self._sought = None
+                self.timeline.update(history, live=live, starred=starred, by_hand=by_hand)
+            self.looks.update(history)
+            self.gallery.update(history)
             shown, phi = self._shown_design(history)
             self.run.offer_branch(shown)
             self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
             self.what_if.update(history, shown, phi, live=live, following=self.timeline.follow.value)
             self.player.show(self._shot(history, shown, phi))
+
+    def _turn(self) -> None:
+        """Show another design: first the body, as a person waits for that, then all that is said of it."""
+        self._show_scene()
+        self._refresh()
+
+    def _turn_to(self, iteration: int) -> None:
+        self.timeline.turn_to(iteration)
+        self._turn()
 
     def _show_scene(self) -> None:
         """Bring the scene alone up to date, as a body that is dragged must move at once."""
@@ -325,6 +403,8 @@ class Viewer:
         self.design.clear()
         self.export.clear()
         self.what_if.clear()
+        self.looks.clear()
+        self.gallery.clear()
         if run_id is None:
             self.traces.clear("no data yet: press Start")
             self.timeline.clear("what a run begins with, in its start posture")
@@ -332,7 +412,11 @@ class Viewer:
                 self.player.show(preview)
             return
         status, message = self._statuses.get(run_id, ("starting", "starting…"))
-        if run_id not in self._statuses and time.monotonic() - self._awaited_since > _START_PATIENCE:
+        if run_id in self._known and run_id not in self._statuses:
+            if self._sought is None and not self.timeline.follow.value:
+                self._sought = self.timeline.shown_iteration  # for when it comes back
+            status, message = "lost", f"{run_id} is no longer in the folder of runs: it was deleted or moved. {_GONE}"
+        elif run_id not in self._statuses and time.monotonic() - self._awaited_since > _START_PATIENCE:
             message = f"{run_id} has not shown up; the studio's log may say why"
         self.run.show_message(status, message)
         self.traces.clear(f"{status}: {message}")
@@ -370,11 +454,11 @@ class Viewer:
             phi=tuple(in_front.tolist()),
             episode=None if self.what_if.open else recorded,
             played=self.what_if.episode if self.what_if.open else None,
-            ghost=before if self.timeline.ghost.value and (changed or shown > history.begins_at or recorded) else None,
+            ghost=before if self.looks.ghost.value and (changed or shown > history.begins_at or recorded) else None,
             ghost_name=name,
-            trail=tuple(self.timeline.earlier(history)),
-            printed=self.timeline.printed.value,
-            population=self.timeline.population.value,
+            printed=self.looks.printed.value,
+            tint=self.looks.tint(history, shown, in_front),
+            beside=self.looks.beside(history, shown),
         )
 
     def _settle_pending(self) -> None:
@@ -394,7 +478,7 @@ class Viewer:
             self._pending[run_id] = open_ones
 
     def _show_time(self, seconds: float, duration: float) -> None:
-        self.timeline.show_time(seconds, duration)
+        self.playback.show_time(seconds, duration)
         if self.player.take:
             self.timeline.show_legend(legend_of(self.player.take))
 
