@@ -36,6 +36,8 @@ from studio.viewer.what_if import Answers, WhatIfPanel
 NEW_RUN = "+ new run"
 _START_PATIENCE = 15.0
 """Seconds after which a started run that never showed up is reported."""
+_BODY_FIRST = 0.2
+"""Longest time in seconds for which the panels wait until the body of another design stands in the scene."""
 
 log = logging.getLogger(__name__)
 
@@ -71,6 +73,7 @@ class Viewer:
         self._family = family
         self._album = album
         self._tree: tuple[object, Member | None] = (None, None)
+        self._turns = 0
         self._lock = threading.RLock()
         self._histories: Mapping[str, History] = {}
         self._statuses: Mapping[str, tuple[Status, str]] = {}
@@ -337,8 +340,12 @@ class Viewer:
 
     def _turn(self) -> None:
         """Show another design: first the body, as a person waits for that, then all that is said of it."""
+        self._turns += 1
+        turn = self._turns
         self._show_scene()
-        self._refresh()
+        self.player.wait(_BODY_FIRST)
+        if turn == self._turns:  # else a newer choice brings the panels up to date
+            self._refresh()
 
     def _turn_to(self, iteration: int) -> None:
         self.timeline.turn_to(iteration)
