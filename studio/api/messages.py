@@ -16,6 +16,7 @@ from studio.runs import Row, Summary
 from studio.shelf.marks import Marks, MarksChange
 from studio.shelf.traces import Overlay
 from studio.shelf.trash import Trashed
+from studio.viewer.view import Seen, View
 from studio.what_if import SweepPoint, WhatIf, Wish
 
 MAX_BODY = 1 << 20
@@ -202,6 +203,7 @@ def reply(message: object, status: int = 200) -> Response:
 _KINDS = (
     StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Moment, Metrics, Designs, Checked, Health,
     Refusal, AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
+    View, Seen,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

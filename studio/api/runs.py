@@ -97,7 +97,7 @@ def runs_router(runs: Runs) -> APIRouter:
         runs.resume(run_id, wish.further)
         return reply(state_of(runs, run_id), 202)
 
-    @router.post("/{run_id}/show", responses=gives(RunState), summary="Let the viewer show this run")
+    @router.post("/{run_id}/show", responses=gives(RunState), summary="Let every open browser show this run")
     def show(
         run_id: str,
         iteration: Annotated[int | None, Query(ge=0, description="Iteration whose design is shown; 0: initial")] = None,

@@ -9,6 +9,7 @@ from morph_core.history import History
 from studio.viewer.ghosts import Beside
 from studio.viewer.parts import has_printed_parts, shows_parts
 from studio.viewer.tint import Tint, agreement_tint, change_tint
+from studio.viewer.view import Remembered
 
 OWN, CHANGE, AGREEMENT = "those of the parts", "change since the start", "agreement of both gradients"
 _TRAIL = 8
@@ -45,6 +46,14 @@ class LooksPanel:
         for handle in self._choices:
             handle.on_update(lambda _: on_choice())
         self.clear()
+
+    @property
+    def remembered(self) -> dict[str, Remembered]:
+        """The inputs that a browser finds again as it left them."""
+        return {
+            "colours": self.colours, "ghost": self.ghost, "trail": self.trail, "explored": self.explored,
+            "generation": self.generation,
+        }  # fmt: skip
 
     def clear(self) -> None:
         """Offer nothing, as no run is shown."""

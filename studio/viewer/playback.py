@@ -5,6 +5,7 @@ from collections.abc import Callable
 import viser
 
 from studio.viewer.player import SPEEDS, Player
+from studio.viewer.view import Remembered
 
 
 class PlaybackPanel:
@@ -28,8 +29,13 @@ class PlaybackPanel:
             self.loop = gui.add_checkbox("loop", True)
         self.play.on_click(lambda _: self.toggle_playback())
         self.time.on_update(lambda event: self._scrub(event.client) if event.client else None)
-        self.speed.on_update(lambda event: self._set_speed(event.client) if event.client else None)
+        self.speed.on_update(lambda event: self._set_speed(event.client))
         self.loop.on_update(lambda _: player.set_looping(self.loop.value))
+
+    @property
+    def remembered(self) -> dict[str, Remembered]:
+        """The inputs that a browser finds again as it left them."""
+        return {"speed": self.speed, "loop": self.loop}
 
     def show_time(self, seconds: float, duration: float) -> None:
         """Set the time slider to `seconds` of an episode of `duration` seconds; hide it where there is none."""

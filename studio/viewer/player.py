@@ -12,7 +12,18 @@ from studio.cancellation import Cancellation
 from studio.viewer.figure import Figure
 from studio.viewer.ghosts import Beside, Crowd, make_crowd
 from studio.viewer.newest import Newest
-from studio.viewer.scene import CONTACT_COLOUR, FIELD_OF_VIEW, GHOST_COLOURS, NARROW, USUAL_ASPECT, Layer, Ruler, camera
+from studio.viewer.scene import (
+    CONTACT_COLOUR,
+    FIELD_OF_VIEW,
+    GHOST_COLOURS,
+    NARROW,
+    USUAL_ASPECT,
+    Host,
+    Layer,
+    Ruler,
+    camera,
+    initial_camera_of,
+)
 from studio.viewer.take import FRAMES_PER_SECOND, Shot, Take, make_take
 
 SPEEDS = (0.1, 4.0)
@@ -29,31 +40,30 @@ log = logging.getLogger(__name__)
 class Player:
     """The player of the scene. Its methods may be called from any thread; a thread of its own draws."""
 
-    def __init__(
-        self, server: viser.ViserServer, *, on_time: Callable[[float, float], None], on_error: Callable[[str], None]
-    ) -> None:
+    def __init__(self, host: Host, *, on_time: Callable[[float, float], None], on_error: Callable[[str], None]) -> None:
         """Start the thread that draws.
 
         `on_time(seconds, duration)` is called a few times a second with the time in the episode, `on_error` with a
         sentence on what can't be shown.
         """
-        self._server = server
+        self._host = host
         self._on_time = on_time
         self._on_error = on_error
-        self._robot = Layer(server, "robot")
-        self._objects = Layer(server, "objects")
-        self._scenery = Layer(server, "scenery")
-        self._ghost = Layer(server, "ghost", opacity=0.55)
+        self._robot = Layer(host, "robot")
+        self._objects = Layer(host, "objects")
+        self._scenery = Layer(host, "scenery")
+        self._ghost = Layer(host, "ghost", opacity=0.55)
         self._beside = {
-            "trail": Layer(server, "trail", opacity=0.45),
-            "explored": Layer(server, "explored", opacity=0.35),
-            "generation": Layer(server, "generation", opacity=0.35),
+            "trail": Layer(host, "trail", opacity=0.45),
+            "explored": Layer(host, "explored", opacity=0.35),
+            "generation": Layer(host, "generation", opacity=0.35),
         }
         self._crowding = Newest("viewer-ghosts")
         self._crowd: Crowd | None = None
         self._crowd_of: tuple[str, str, Beside] | None = None
-        self._contact = Layer(server, "contact")
-        self._ruler = Ruler(server)
+        self._contact = Layer(host, "contact")
+        self._ruler = Ruler(host)
+        self._initial_camera = initial_camera_of(host)
         self._change = threading.Condition()
         self._shot: Shot | None = None
         self._take: Take | None = None
@@ -70,7 +80,8 @@ class Player:
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="viewer-player", daemon=True)
         self._thread.start()
-        server.on_client_connect(self._welcome)
+        if isinstance(host, viser.ViserServer):
+            host.on_client_connect(self._welcome)
 
     @property
     def take(self) -> Take | None:
@@ -165,8 +176,12 @@ class Player:
                 log.exception("the scene could not be drawn")
                 self._on_error(f"this design can't be shown: {error}")
 
+    def _watchers(self) -> list[viser.ClientHandle]:
+        host = self._host
+        return list(host.get_clients().values()) if isinstance(host, viser.ViserServer) else [host]
+
     def _moving(self) -> bool:
-        return bool(self._playing and self._take and self._take.frames > 1 and self._server.get_clients())
+        return bool(self._playing and self._take and self._take.frames > 1 and self._watchers())
 
     def _advance(self, elapsed: float) -> None:
         if self._take is None:
@@ -182,7 +197,7 @@ class Player:
         self._take = take
         if self._time > take.duration:
             self._time = 0.0
-        with self._server.atomic():
+        with self._host.atomic():
             self._scenery.show(take.scenery)
             self._objects.show(take.objects, self._instant())
             self._robot.show(take.robot, self._instant())
@@ -218,7 +233,7 @@ class Player:
         with self._change:
             crowd, self._crowd = self._crowd, None
         if crowd is not None:
-            with self._server.atomic():
+            with self._host.atomic():
                 for name, layer in self._beside.items():
                     figure = getattr(crowd, name)
                     layer.show(figure, 0, _plain(figure, name))
@@ -230,10 +245,10 @@ class Player:
             return
         self._framed = place
         self._ruler.show(take.floor, take.box)
-        start = self._server.initial_camera
+        start = self._initial_camera
         position, target = camera(*take.box)
         start.fov, start.position, start.look_at = FIELD_OF_VIEW, position, target
-        for client in self._server.get_clients().values():
+        for client in self._watchers():
             self._point(client, take)
 
     def _point(self, client: viser.ClientHandle, take: Take) -> None:
@@ -255,7 +270,7 @@ class Player:
         if take is None:
             return
         frame = self._instant()
-        with self._server.atomic():  # robot, lights and contact markers belong to one instant
+        with self._host.atomic():  # robot, lights and contact markers belong to one instant
             self._robot.pose(frame)
             self._objects.pose(frame)
             self._paint(self._scenery, take.scenery_colours(frame))

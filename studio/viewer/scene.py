@@ -11,6 +11,8 @@ import viser
 from studio.viewer import shapes
 from studio.viewer.figure import Figure, Mesh
 
+Host = viser.ViserServer | viser.ClientHandle
+"""Whose scene and panels these are: those of one browser, or of all."""
 CONTACT_COLOUR = (225, 30, 30)
 GHOST_COLOURS = {
     "ghost": (128, 142, 170),
@@ -51,8 +53,8 @@ class _Batch:
 class Layer:
     """One figure in the scene. Another figure replaces it under the same node names."""
 
-    def __init__(self, server: viser.ViserServer, name: str, *, opacity: float | None = None) -> None:
-        self._server = server
+    def __init__(self, host: Host, name: str, *, opacity: float | None = None) -> None:
+        self._host = host
         self._name = name
         self._opacity = opacity
         self._batches: dict[str, _Batch] = {}
@@ -69,7 +71,7 @@ class Layer:
         groups = _groups(figure) if figure else {}
         arrays = {key: _instances(figure, key, parts, instant) for key, parts in groups.items()} if figure else {}
         painted = colours if colours is not None else figure.colours if figure else np.zeros((0, 3), np.uint8)
-        with self._server.atomic():
+        with self._host.atomic():
             for key, batch in self._batches.items():
                 batch.handle.visible = key in groups
                 batch.parts = groups.get(key, [])
@@ -83,7 +85,7 @@ class Layer:
         if figure is None or instant == self._instant:
             return
         moves = [(b.handle, figure.positions[instant, b.parts], figure.wxyz[instant, b.parts]) for b in self._shown]
-        with self._server.atomic():
+        with self._host.atomic():
             for handle, positions, wxyz in moves:
                 handle.batched_positions = positions
                 handle.batched_wxyzs = wxyz
@@ -111,7 +113,7 @@ class Layer:
         batch = self._batches.get(key)
         if batch is None:
             vertices, faces = (mesh.vertices, mesh.faces) if mesh else _unit(key)
-            handle = self._server.scene.add_batched_meshes_simple(
+            handle = self._host.scene.add_batched_meshes_simple(
                 f"/{self._name}/{key}", vertices, faces, wxyz, positions, batched_scales=scales,
                 batched_colors=_linear(colours),
                 opacity=self._opacity, lod="off", flat_shading=mesh is not None, cast_shadow=False,
@@ -128,19 +130,26 @@ class Layer:
         batch.handle.batched_colors = _linear(colours)
 
 
-def light_up(server: viser.ViserServer) -> None:
+def light_up(host: Host) -> None:
     """Light the scene evenly: colours must look the same on the light and on the dark theme."""
-    server.scene.configure_default_lights(enabled=False)
-    server.scene.configure_environment_map(None)
-    server.scene.add_light_ambient("/light/ambient", intensity=1.7)
-    server.scene.add_light_directional("/light/above", intensity=1.9, position=(-3.0, -4.0, 8.0))
+    host.scene.configure_default_lights(enabled=False)
+    host.scene.configure_environment_map(None)
+    host.scene.add_light_ambient("/light/ambient", intensity=1.7)
+    host.scene.add_light_directional("/light/above", intensity=1.9, position=(-3.0, -4.0, 8.0))
+
+
+def initial_camera_of(host: Host) -> viser.InitialCameraConfig:
+    """Return where the camera begins and is reset to; viser offers that for all browsers at once, and means it so."""
+    if isinstance(host, viser.ViserServer):
+        return host.initial_camera
+    return viser.InitialCameraConfig(host._websock_connection.queue_message)
 
 
 class Ruler:
     """A grid with its lengths written along two sides, and a pole with heights, so that metres can be read off."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+    def __init__(self, host: Host) -> None:
+        self._host = host
         self._labels: list[viser.LabelHandle] = []
 
     def show(self, floor: tuple[np.ndarray, np.ndarray], box: tuple[np.ndarray, np.ndarray]) -> None:
@@ -153,7 +162,7 @@ class Ruler:
         heights = [] if is_flat(*box) else _ticks(cell, float(box[1][2] - z), cell)
         lines = [((x, ys[0], z), (x, ys[-1], z)) for x in xs] + [((xs[0], y, z), (xs[-1], y, z)) for y in ys]
         lines += [((xs[0], ys[-1], z), (xs[0], ys[-1], z + h)) for h in heights[-1:]]
-        self._server.scene.add_line_segments(
+        self._host.scene.add_line_segments(
             "/ruler/lines", np.array(lines, np.float32), _RULER_COLOUR, thickness=1.0, thickness_units="screen"
         )
         seldom = 2 * cell if len(xs) > _MOST_LABELS else cell
@@ -170,7 +179,7 @@ class Ruler:
         for i, (position, text) in enumerate(ticks):
             if i == len(self._labels):
                 self._labels.append(
-                    self._server.scene.add_label(f"/ruler/{i}", text, font_screen_scale=0.75, depth_test=True)
+                    self._host.scene.add_label(f"/ruler/{i}", text, font_screen_scale=0.75, depth_test=True)
                 )
             label = self._labels[i]
             label.text, label.position, label.visible, label.anchor = text, np.array(position), True, anchor

@@ -9,6 +9,7 @@ from studio.moments import Mark, in_force_words, marks_of
 from studio.viewer import wording
 from studio.viewer.evolution import PACES, Evolution
 from studio.viewer.strip import key_of, pointer, strip
+from studio.viewer.view import Remembered
 
 
 class TimelinePanel:
@@ -80,9 +81,14 @@ class TimelinePanel:
         self.recorded.on_click(lambda event: self._jump(event.target.value))
         self.marked.on_click(lambda event: self._jump(event.target.value, marks=True))
         self.evolve.on_click(lambda _: self.toggle_evolution())
-        self.pace.on_update(lambda event: self._set_pace(event.client) if event.client else None)
+        self.pace.on_update(lambda event: self._set_pace(event.client))
         self.star.on_click(lambda event: self.toggle_star(event.client))
         self.inject.on_click(lambda event: on_inject(self._chosen_phi, event.client))
+
+    @property
+    def remembered(self) -> dict[str, Remembered]:
+        """The inputs that a browser finds again as it left them."""
+        return {"pace": self.pace, "again": self.again}
 
     @property
     def shown_iteration(self) -> int:

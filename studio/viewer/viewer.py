@@ -25,12 +25,13 @@ from studio.viewer.looks import LooksPanel
 from studio.viewer.playback import PlaybackPanel
 from studio.viewer.player import Player
 from studio.viewer.run import NOT_LIVE, RunPanel
-from studio.viewer.scene import light_up
+from studio.viewer.scene import Host, light_up
 from studio.viewer.start import StartPanel
 from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
 from studio.viewer.timeline import TimelinePanel
 from studio.viewer.traces import TracesPanel
+from studio.viewer.view import Remembered, View, put_back, ticks_of
 from studio.viewer.what_if import Answers, WhatIfPanel
 
 NEW_RUN = "+ new run"
@@ -39,11 +40,14 @@ _START_PATIENCE = 15.0
 _BODY_FIRST = 0.2
 """Longest time in seconds for which the panels wait until the body of another design stands in the scene."""
 
+_GONE = "Choose another run, or bring this one back on the page of all runs: then it is shown again."
+
 log = logging.getLogger(__name__)
 
 
 class Viewer:
-    """The panels and the scene on a viser server; `show` is called a few times a second with fresh histories.
+    """The panels and the scene of one browser, or of all that a viser server has; `show` is called a few times a second
+    with fresh histories.
 
     `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)`,
     `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
@@ -53,7 +57,7 @@ class Viewer:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         *,
         on_command: Callable[[str, AnyCommand, str], object],
         on_start: Callable[[StartRun], str],
@@ -64,7 +68,6 @@ class Viewer:
         family: Callable[[str], Member | None],
         album: Album,
     ) -> None:
-        self._server = server
         self._on_command = on_command
         self._on_start = on_start
         self._on_resume = on_resume
@@ -74,18 +77,20 @@ class Viewer:
         self._album = album
         self._tree: tuple[object, Member | None] = (None, None)
         self._turns = 0
+        self._known: set[str] = set()
         self._lock = threading.RLock()
         self._histories: Mapping[str, History] = {}
         self._statuses: Mapping[str, tuple[Status, str]] = {}
         self._suggested: str | None = None
+        self._sought: int | None = None
         self._selected: str | None = None
         self._awaited_since = 0.0
         self._labels: dict[str, str] = {}
         self._pending: dict[str, list[tuple[AnyCommand, int]]] = {}
-        gui = server.gui
+        gui = host.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(47, 127, 209))
         gui.set_panel_label("Run and playback")
-        light_up(server)
+        light_up(host)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(350)
         self.chooser = gui.add_dropdown("run", [NEW_RUN], hint="Every run in the runs folder, newest first")
@@ -118,7 +123,7 @@ class Viewer:
                 on_export=self._export_changed,
                 on_refusal=self.refuse,
             )
-        self.player = Player(server, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
+        self.player = Player(host, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
         self.timeline = TimelinePanel(
             gui,
             on_choice=self._turn,
@@ -142,11 +147,15 @@ class Viewer:
         return self._selected
 
     def show(
-        self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
+        self,
+        histories: Mapping[str, History],
+        statuses: Mapping[str, tuple[Status, str]],
+        current: str | None = None,
     ) -> None:
         """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
         with self._lock:
             self._histories, self._statuses = dict(histories), dict(statuses)
+            self._known |= self._histories.keys()
             if current != self._suggested:
                 self._suggested = current
                 if current is not None:
@@ -155,15 +164,35 @@ class Viewer:
             self._refresh()
 
     def turn_to(self, iteration: int) -> None:
-        """Show the design of an iteration of the run on screen."""
+        """Show the design of an iteration of the run on screen, now or as soon as the run is known."""
         with self._lock:
-            self.timeline.turn_to(iteration)
+            self._sought = iteration
             self._refresh()
+
+    def open(self, run_id: str | None, iteration: int | None = None) -> None:
+        """Open the run of that name, or the start panel if it is None, and show the design of an iteration."""
+        with self._lock:
+            self.select(run_id)
+            if iteration is not None:
+                self.turn_to(iteration)
+
+    @property
+    def view(self) -> View:
+        """Return what is seen, as it can be put back."""
+        held = self._selected is not None and not self.timeline.follow.value
+        shown = self._sought if self._sought is not None else self.timeline.shown_iteration if held else None
+        return View(run=self._selected, iteration=shown, ticks=ticks_of(self._remembered))
+
+    def put_back(self, view: View) -> None:
+        """Show what `view` says."""
+        with self._lock:
+            put_back(self._remembered, view.ticks)
+            self.open(view.run, view.iteration)
 
     def select(self, run_id: str | None) -> None:
         """Open the run of that name, or the start panel if it is None."""
         with self._lock:
-            self._selected = run_id
+            self._selected, self._sought = run_id, None
             self._awaited_since = time.monotonic()
             self.tell(None)
             self._refresh()
@@ -185,6 +214,11 @@ class Viewer:
         self.timeline.stop()
         self.gallery.stop()
         self.player.stop()
+
+    @property
+    def _remembered(self) -> dict[str, Remembered]:
+        """The inputs whose values are a person's habits, by the names under which they are kept."""
+        return {**self.timeline.remembered, **self.looks.remembered, **self.playback.remembered}
 
     # --- what people ask for ---
 
@@ -328,7 +362,12 @@ class Viewer:
             self.design.update(history, status)
             self.export.update(history)
             starred = self._album.starred(history)
-            self.timeline.update(history, live=live, starred=starred, by_hand=self.what_if.is_changed)
+            by_hand = self.what_if.is_changed
+            self.timeline.update(history, live=live, starred=starred, by_hand=by_hand)
+            if self._sought is not None:
+                self.timeline.turn_to(self._sought)
+                self._sought = None
+                self.timeline.update(history, live=live, starred=starred, by_hand=by_hand)
             self.looks.update(history)
             self.gallery.update(history)
             shown, phi = self._shown_design(history)
@@ -380,7 +419,11 @@ class Viewer:
                 self.player.show(preview)
             return
         status, message = self._statuses.get(run_id, ("starting", "starting…"))
-        if run_id not in self._statuses and time.monotonic() - self._awaited_since > _START_PATIENCE:
+        if run_id in self._known and run_id not in self._statuses:
+            if self._sought is None and not self.timeline.follow.value:
+                self._sought = self.timeline.shown_iteration  # for when it comes back
+            status, message = "lost", f"{run_id} is no longer in the folder of runs: it was deleted or moved. {_GONE}"
+        elif run_id not in self._statuses and time.monotonic() - self._awaited_since > _START_PATIENCE:
             message = f"{run_id} has not shown up; the studio's log may say why"
         self.run.show_message(status, message)
         self.traces.clear(f"{status}: {message}")

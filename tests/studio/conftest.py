@@ -40,6 +40,7 @@ from studio.runs import Runs
 from studio.settings import Settings
 from studio.viewer import Viewer
 from studio.viewer.take import Take
+from studio.viewer.view import Seen, View
 from studio.what_if import SweepPoint, WhatIf, WhatIfs, Wish, sweep_designs
 
 ROOT = Path(__file__).parents[2]
@@ -330,26 +331,32 @@ def page() -> Iterator[Page]:
 
 @dataclass
 class Blackboard:
-    """A viewer that writes down what it is shown; `broken` makes it raise."""
+    """Desks that write down what they are shown; `broken` makes them raise."""
 
     server: viser.ViserServer
     runs: Runs
     what_ifs: WhatIfs
     shown: list[tuple[list[str], dict[str, tuple[Status, str]], str | None]] = field(default_factory=list)
-    turned_to: list[tuple[str | None, int]] = field(default_factory=list)
+    turned_to: list[tuple[str, int | None]] = field(default_factory=list)
     broken: bool = False
-    selected: str | None = None
+    selected: frozenset[str] = frozenset()
+    views: dict[str, View] = field(default_factory=dict)
 
     def show(
         self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
     ) -> None:
         if self.broken:
             raise RuntimeError("the viewer is broken, says the test")
-        self.selected = current
         self.shown.append((list(histories), dict(statuses), current))
 
-    def turn_to(self, iteration: int) -> None:
-        self.turned_to.append((self.selected, iteration))
+    def turn_to(self, run_id: str, iteration: int | None) -> None:
+        self.turned_to.append((run_id, iteration))
+
+    def seen(self, key: str) -> Seen:
+        return Seen(**msgspec.structs.asdict(self.views.get(key, View())), connected=key in self.views)
+
+    def put(self, key: str, view: View) -> None:
+        self.views[key] = view
 
     def stop(self) -> None:
         self.shown.append(([], {}, None))
@@ -378,13 +385,13 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     """Serve the real application on a free port; end the stand-ins it has started."""
     viewers: list[Blackboard] = []
 
-    def viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, _: Album) -> Blackboard:
+    def desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, _: Album) -> Blackboard:
         viewers.append(Blackboard(server, runs, what_ifs))
         return viewers[0]
 
     listener = socket.create_server(("127.0.0.1", 0))
     port = listener.getsockname()[1]
-    app = create_app(settings, runs=Runs(settings.runs, spawn), viewer=viewer)
+    app = create_app(settings, runs=Runs(settings.runs, spawn), desks=desks)
     config = uvicorn.Config(app, log_level="error", ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)

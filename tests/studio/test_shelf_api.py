@@ -150,13 +150,14 @@ def test_the_viewer_turns_to_the_design_that_was_clicked(served: Served, ended: 
     assert eventually(lambda: served.viewer.turned_to)
     assert served.viewer.turned_to == [(ended.id, 2)]
     served.client.post(f"/api/runs/{ended.id}/show")
+    assert eventually(lambda: served.viewer.turned_to == [(ended.id, 2), (ended.id, None)])
     assert "has no iteration 9" in refused(
         served.client.post(f"/api/runs/{ended.id}/show", params={"iteration": 9}), 404
     )
     assert "greater than or equal to 0" in refused(
         served.client.post(f"/api/runs/{ended.id}/show", params={"iteration": -1})
     )
-    assert served.viewer.turned_to == [(ended.id, 2)]
+    assert served.viewer.turned_to == [(ended.id, 2), (ended.id, None)]
 
 
 def test_no_more_runs_are_drawn_than_can_be_told_apart(served: Served) -> None:
