@@ -69,6 +69,7 @@ class Player:
         self._shot: Shot | None = None
         self._take: Take | None = None
         self._built: Shot | None = None
+        self._done: Shot | None = None
         self._framed: tuple[str, tuple[tuple[str, object], ...]] | None = None
         self._painted: dict[Layer, np.ndarray] = {}
         self._marked: bytes | None = None
@@ -105,7 +106,12 @@ class Player:
         with self._change:
             if shot != self._shot:
                 self._shot = shot
-                self._change.notify()
+                self._change.notify_all()
+
+    def wait(self, seconds: float) -> None:
+        """Wait until what was asked for is shown, or can't be, for at most so many seconds."""
+        with self._change:
+            self._change.wait_for(lambda: self._done == self._shot, seconds)
 
     def play(self, playing: bool) -> None:
         """Play the episode, from its start if it has ended, or pause it."""
@@ -113,13 +119,13 @@ class Player:
             self._playing = playing
             if playing and self._take and not self._looping and self._time >= self._take.duration:
                 self._time = 0.0
-            self._change.notify()
+            self._change.notify_all()
 
     def seek(self, seconds: float) -> None:
         """Go to a time in the episode, in seconds."""
         with self._change:
             self._time, self._sought = max(0.0, seconds), True
-            self._change.notify()
+            self._change.notify_all()
 
     def set_speed(self, speed: float) -> None:
         """Set the speed as a multiple of real time, kept within `SPEEDS`."""
@@ -140,7 +146,7 @@ class Player:
         self._crowding.stop()
         with self._change:
             self._stopping = True
-            self._change.notify()
+            self._change.notify_all()
         self._thread.join(timeout=5.0)
 
     def _run(self) -> None:
@@ -156,8 +162,13 @@ class Player:
             try:
                 if shot is not None and shot != self._built:
                     self._built = shot
-                    self._put_up(make_take(shot))
-                    self._draw()
+                    try:
+                        self._put_up(make_take(shot))
+                        self._draw()
+                    finally:
+                        with self._change:
+                            self._done = shot
+                            self._change.notify_all()
                     self._gather(shot)
                     reported = 0.0
                 elif self._moving() or sought:
@@ -212,7 +223,7 @@ class Player:
             with self._change:
                 cancellation.check()
                 self._crowd = crowd
-                self._change.notify()
+                self._change.notify_all()
 
         if shot.beside == Beside():
             self._crowding.cancel()

@@ -132,14 +132,14 @@ def make_take(shot: Shot) -> Take:
     task = make_task(shot.task, dict(shot.task_options))
     recorded = _recorded(shot)
     phi = np.asarray(recorded.get("phi", shot.phi), float)
-    model, alone = _models(task, phi, shot.printed)
+    model, of_robot = _models(task, phi, shot.printed)
     if recorded:
         episode = _episode(recorded, model.nq)
     else:
         episode = _Episode(start_posture(task, phi), np.zeros(0, bool), {}, np.zeros((0, 1, 3)))
     factor = max(1, round(task.control_dt * FRAMES_PER_SECOND))
     frames = smooth(model, filled(model, episode.qpos), factor)
-    robot, objects, scenery = _split(Figure.from_model(model, frames), alone)
+    robot, objects, scenery = _split(Figure.from_model(model, frames), of_robot)
     if shot.tint:
         robot = dataclasses.replace(robot, colours=painted(robot, shot.tint))
     contact = _moving_contacts(episode.contact, factor, len(frames))
@@ -166,21 +166,26 @@ def _recorded(shot: Shot) -> dict[str, np.ndarray]:
     return read_episode(*shot.episode) if shot.episode else {}
 
 
-def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, mujoco.MjModel]:
-    """Return the scene, and the robot alone; a robot that can't be assembled shows its collision shapes."""
+def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, set[str]]:
+    """Return the scene, and the names of the robot's bodies and geoms in it; a robot that can't be assembled shows its
+    collision shapes."""
     specs, robot = [task.scene(phi), task.spec(phi)], robot_of(task)
     if printed and robot.printed:
         with contextlib.suppress(ValueError):
             parts = robot.parts(phi)
             files = stl_files(parts)
             specs = [dress(spec, parts, files) for spec in specs]
-    scene, alone = (spec.compile() for spec in specs)
-    return scene, alone
+    scene, alone = specs
+    return scene.compile(), _names(alone)
 
 
-def _split(whole: Figure, alone: mujoco.MjModel) -> tuple[Figure, Figure, Figure]:
-    """Return the robot, whose model is `alone`; what else moves; and what never moves."""
-    of_robot = {alone.body(i).name for i in range(1, alone.nbody)} | {alone.geom(i).name for i in range(alone.ngeom)}
+def _names(robot: mujoco.MjSpec) -> set[str]:
+    """Return the names of a robot's bodies and geoms; to compile it for them would take as long as the scene does."""
+    return {body.name for body in robot.bodies} - {"world"} | {geom.name for geom in robot.geoms} - {""}
+
+
+def _split(whole: Figure, of_robot: set[str]) -> tuple[Figure, Figure, Figure]:
+    """Return the robot, whose bodies and geoms have these names; what else moves; and what never moves."""
     fixed = [i for i, name in enumerate(whole.names) if name.startswith(_FIXED)]
     robot = [i for i, name in enumerate(whole.names) if name in of_robot and i not in fixed]
     objects = [i for i in range(len(whole)) if i not in fixed and i not in robot]
@@ -248,7 +253,7 @@ def _frame(name: str, options: str) -> tuple[Corners, Corners]:
     phi = task.design_space.initial
     model = task.scene(phi).compile()
     whole = Figure.from_model(model, filled(model, start_posture(task, phi)))
-    robot, objects, scenery = _split(whole, task.spec(phi).compile())
+    robot, objects, scenery = _split(whole, _names(task.spec(phi)))
     tables = [i for i, name in enumerate(scenery.names) if name.startswith("table")]
     table, around = scenery.take(tables), scenery.take([i for i in range(len(scenery)) if i not in tables])
     boxes = [figure.extent() for figure in (robot, objects, around) if len(figure)]

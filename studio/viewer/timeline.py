@@ -224,8 +224,10 @@ class TimelinePanel:
         self._name_evolution()
 
     def _name_evolution(self) -> None:
-        playing = self.evolution.playing
+        playing, label = self.evolution.playing, self.evolve.label
         self.evolve.label = "Pause the evolution" if playing else "Play the evolution"
+        if self.evolve.label == label:  # an icon takes long to be drawn
+            return
         self.evolve.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_TRACK_NEXT
 
     def _follow(self) -> None:

@@ -38,6 +38,8 @@ from studio.viewer.what_if import Answers, WhatIfPanel
 
 _START_PATIENCE = 15.0
 """Seconds after which a started run that never showed up is reported."""
+_BODY_FIRST = 0.2
+"""Longest time in seconds for which the panels wait until the body of another design stands in the scene."""
 
 _GONE = "Choose another run, or bring this one back on the page of all runs: then it is shown again."
 
@@ -76,6 +78,7 @@ class Viewer:
         self._family = family
         self._album = album
         self._tree: tuple[object, Member | None] = (None, None)
+        self._turns = 0
         self._known: set[str] = set()
         self._lock = threading.RLock()
         self._histories: Mapping[str, History] = {}
@@ -387,8 +390,12 @@ class Viewer:
 
     def _turn(self) -> None:
         """Show another design: first the body, as a person waits for that, then all that is said of it."""
+        self._turns += 1
+        turn = self._turns
         self._show_scene()
-        self._refresh()
+        self.player.wait(_BODY_FIRST)
+        if turn == self._turns:  # else a newer choice brings the panels up to date
+            self._refresh()
 
     def _turn_to(self, iteration: int) -> None:
         self.timeline.turn_to(iteration)

@@ -219,7 +219,9 @@ def test_charts_are_made_anew_for_a_run_of_another_robot(page: Page, folder: Run
     page.show(make_run(tmp_path / "other"))
     assert "Design φ" in page.viewer.traces.charts
     assert not any(title.startswith("Design φ:") for title in page.viewer.traces.charts)
-    assert len(page.viewer.traces.charts["Success on Hw-Phy"].series) == 3
+    assert (
+        len(page.viewer.traces.charts["Success on Hw-Phy"].series) == 4
+    )  # both policies, and the line at the shown iteration
 
 
 def test_the_divergence_is_in_the_units_of_z(folder: RunFolder, tmp_path: Path) -> None:

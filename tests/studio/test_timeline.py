@@ -77,9 +77,10 @@ def steered(folder: RunFolder) -> History:
         folder,
         progress(1, alpha=1.0, projection="none"),
         acknowledged(1, 1, Pause()),
+        progress(2, alpha=1.0, projection="none"),
         acknowledged(2, 2, SetAlpha(0.25)),
         acknowledged(3, 2, SetAlpha(-1.0), accepted=False),
-        progress(2, alpha=1.0, projection="none"),
+        progress(3, alpha=0.25, projection="none", frozen=True),
         DesignSpaceChanged(iteration=3, parameters=list(space.with_bound("link_1", 1.0, 4.0).parameters)),
         acknowledged(4, 3, SetBound("link_1", 1.0, 4.0)),
         DesignSpaceChanged(
@@ -87,7 +88,6 @@ def steered(folder: RunFolder) -> History:
             parameters=list(space.with_bound("link_1", 1.0, 4.0).with_lock("link_2", 2.5).parameters),
         ),
         acknowledged(5, 3, Lock("link_2", 2.5)),
-        progress(3, alpha=0.25, projection="none", frozen=True),
         evaluated(folder, 3, 0.25),
         progress(4, alpha=0.25, projection="none", frozen=True, control_start=4),
         progress(5, alpha=0.25, projection="none", control_start=4),
@@ -383,7 +383,7 @@ def test_the_line_at_the_shown_iteration_changes_no_curve(ys: np.ndarray, at: fl
 def test_a_shade_is_grey_at_zero_and_strongest_at_its_ends(value: float) -> None:
     end = LOW if value < 0 else HIGH
     shares = [(c - m) / (e - m) for c, m, e in zip(shade(value), MIDDLE, end, strict=True)]
-    np.testing.assert_allclose(shares, min(abs(value), 1), atol=0.02)
+    np.testing.assert_allclose(shares, min(abs(value), 1), atol=0.03)
 
 
 def test_parts_are_coloured_by_their_change_since_the_start(folder: RunFolder) -> None:
@@ -448,7 +448,7 @@ def test_colours_and_ghosts_stand_in_the_legend(page: Page, folder: RunFolder) -
 
 
 def test_a_gallery_has_the_starred_designs_first_and_a_few_over_all_iterations(folder: RunFolder) -> None:
-    events = [e for i in range(1, 101) for e in (progress(i), evaluated(folder, i, i == 40))]
+    events = [e for i in range(1, 101) for e in (progress(i), evaluated(folder, i, float(i == 40)))]
     pieces = pieces_of(written(folder, *events), (77, 5, 300))
     assert [piece.iteration for piece in pieces[:2]] == [5, 77]
     assert [piece.starred for piece in pieces] == [True, True] + [False] * (len(pieces) - 2)
