@@ -132,8 +132,8 @@ class Viewer:
             on_star=self._star,
             on_refusal=self.refuse,
         )
-        episode = self.timeline.panel.add_tab("Episode", viser.Icon.PLAYER_PLAY)
-        self.playback = PlaybackPanel(gui, episode, self.player, on_refusal=self.refuse)
+        self.playback = PlaybackPanel(gui, self.player, on_refusal=self.refuse)
+        self.playback.panel.dock_below(left)
         look = self.timeline.panel.add_tab("Look", viser.Icon.PALETTE)
         self.looks = LooksPanel(gui, look, on_choice=self._refresh)
         self.timeline.panel.dock_below(gui.main_panel)
