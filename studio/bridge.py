@@ -65,6 +65,12 @@ class UploadPart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransfe
 UPLOADS = frozenset({"FileTransferStartUpload", "FileTransferPart"})
 """Kinds of messages that are admitted where all their fields are as they should be."""
 
+_STYLE = (
+    b"<style>.u-legend .u-value,.u-legend th::after{visibility:hidden}"
+    b".u-wrap:hover~.u-legend .u-value,.u-wrap:hover~.u-legend th::after{visibility:visible}</style>"
+)
+"""Style that lets a chart's legend show values only while the pointer is in the chart: elsewhere it has none."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -196,7 +202,7 @@ def viewer_router() -> APIRouter:
     `app.state.viser` is the guarded server.
     """
     router = APIRouter(include_in_schema=False)
-    page = files(viser).joinpath("client/build/index.html").read_bytes()
+    page = files(viser).joinpath("client/build/index.html").read_bytes().replace(b"</head>", _STYLE + b"</head>", 1)
     packed = gzip.compress(page, 6)
 
     @router.get("/viewer/")

@@ -74,13 +74,14 @@ class Desks:
             viewer.open(run_id, iteration)
 
     def seen(self, key: str) -> Seen:
-        """Return what the browser of this key shows, or showed last."""
+        """Return what the browser of this key shows, or showed last; one that waits counts as connected."""
         with self._lock:
             desk = next((desk for desk in reversed(self._desks.values()) if desk.key == key), None)
             kept = self._kept.get(key, View())
+            waiting = list(self._waiting.values())
         begun = desk is not None and desk.viewer is not None and desk.begin is None
         view = desk.viewer.view if desk is not None and desk.viewer is not None and begun else kept
-        return Seen(**msgspec.structs.asdict(view), connected=desk is not None)
+        return Seen(**msgspec.structs.asdict(view), connected=desk is not None or key in map(key_of, waiting))
 
     def put(self, key: str, view: View) -> None:
         """Let the browser of this key show something, now or as soon as it comes."""

@@ -94,6 +94,7 @@ async function openViewer() {
       clearInterval(timer);
       loading.hidden = true;
       focusViewer();
+      dispatchEvent(new Event("viewer-opened"));
     }
   }, 100);
 }
@@ -109,6 +110,37 @@ theme.addEventListener("click", () => {
   localStorage.setItem("morph-theme", next);
   openViewer();
 });
+
+// --- keys ------------------------------------------------------------------------------------------------------------
+
+const typing = (event) => event.target instanceof event.view.Element && event.target.closest("input, textarea, select, [contenteditable=true], dialog");
+
+function hear(event) {
+  if (event.key !== "?" || typing(event)) return false;
+  event.preventDefault();
+  find("keys").showModal();
+  return true;
+}
+
+// A key that is pressed while no part of this page has the focus is meant for the viewer.
+document.addEventListener("keydown", (event) => {
+  if (hear(event) || event.target !== document.body || event.ctrlKey || event.metaKey || event.altKey) return;
+  const { key, code, shiftKey } = event;
+  viewer.contentDocument?.documentElement.dispatchEvent(new KeyboardEvent("keydown", { key, code, shiftKey, bubbles: true }));
+  focusViewer();
+});
+
+viewer.addEventListener("load", () => {
+  viewer.contentDocument.addEventListener("keydown", hear);
+  // An arrow moves the slider that has the focus, and not the timeline too.
+  viewer.contentDocument.body.addEventListener("keydown", (event) => {
+    if (event.key.startsWith("Arrow") && event.target.closest("[role=slider], [role=tab]")) event.stopPropagation();
+  });
+});
+
+find("help").addEventListener("click", () => find("keys").showModal());
+find("close").addEventListener("click", () => find("keys").close());
+find("keys").addEventListener("close", focusViewer);
 
 // --- the bar ---------------------------------------------------------------------------------------------------------
 
@@ -137,9 +169,9 @@ function option(value, text, title, disabled) {
 
 function listRuns(runs, current) {
   if (document.activeElement === chooser || Date.now() - choosing < 1500) return; // not while it is open
-  const prompt = runs.length ? "choose a run" : "no runs yet";
+  const prompt = runs.length ? "a new run" : "no runs yet";
   const options = runs.map((run) => option(run.id, `${run.id}  ·  ${run.status}`, run.reason, run.status === "unreadable"));
-  if (!current) options.unshift(option("", prompt, "", true));
+  if (!current) options.unshift(option("", view.run ? `${view.run}  ·  gone` : prompt, "", true));
   const signature = options.map((o) => o.textContent).join("\n");
   if (chooser.dataset.signature !== signature) {
     chooser.replaceChildren(...options);
@@ -153,6 +185,12 @@ chooser.addEventListener("change", async () => {
   choosing = Date.now();
   await putView({ run: chooser.value, iteration: null });
   chooser.blur();
+  focusViewer();
+  await look();
+});
+
+find("new").addEventListener("click", async () => {
+  await putView({ run: null, iteration: null });
   focusViewer();
   await look();
 });
@@ -188,6 +226,7 @@ function sayRun(run) {
   const reason = run?.reason ? `: ${run.reason}` : "";
   if (run && ["failed", "lost", "unreadable"].includes(run.status)) say(`${run.status}${reason}  (${run.id})`, "run");
   else if (run?.status === "paused" && run.stage !== "paused") say(`paused${reason}`, "note");
+  else if (!run && view.run) say(`${view.run} is no longer in the folder of runs: it was deleted or moved. Choose another run, or bring it back on the page of all runs.`, "note");
   else say("", "run");
 }
 
@@ -217,14 +256,15 @@ async function look() {
     if (seen.connected) {
       connected = Math.max(connected, performance.now());
       keepView(seen);
-    } else if (performance.now() - connected > UNCONNECTED) await openViewer();
+    } else if (performance.now() - connected > UNCONNECTED) await openViewer(); // after a sleep, or a lost network
     const current = runs.find((run) => run.id === view.run);
     listRuns(runs, current);
     showRun(current);
     sayRun(current);
   } catch {
     reachable = false;
-    say("The server does not answer; trying again. Runs go on without it.", "server");
+    const where = navigator.onLine ? "The server does not answer" : "This device is offline";
+    say(`${where}; trying again. Runs go on without this page, and it comes back to where it was.`, "server");
   }
 }
 
@@ -235,5 +275,6 @@ async function watch() {
 }
 
 document.addEventListener("visibilitychange", () => document.hidden || look());
+addEventListener("online", () => look());
 openViewer();
 watch();

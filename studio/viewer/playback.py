@@ -14,6 +14,7 @@ class PlaybackPanel:
     def __init__(
         self,
         gui: viser.GuiApi,
+        tab: viser.GuiTabHandle,
         player: Player,
         *,
         on_refusal: Callable[[str, viser.ClientHandle | None], None],
@@ -21,8 +22,7 @@ class PlaybackPanel:
         """Make the panel; `on_refusal` is called with a sentence on what can't be done."""
         self._player = player
         self._on_refusal = on_refusal
-        self.panel = gui.add_panel()
-        with self.panel.add_tab("Episode", viser.Icon.PLAYER_PLAY):
+        with tab:
             self.play = gui.add_button("Pause playback", icon=viser.Icon.PLAYER_PAUSE, hint="Space or K")
             self.time = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
             self.speed = gui.add_slider("speed [×]", *SPEEDS, 0.1, 1.0)

@@ -22,6 +22,7 @@ from studio.viewer.scene import (
     Layer,
     Ruler,
     camera,
+    clients_of,
     initial_camera_of,
 )
 from studio.viewer.take import FRAMES_PER_SECOND, Shot, Take, make_take
@@ -134,6 +135,12 @@ class Player:
         """Set whether the episode begins again after its end."""
         self._looping = looping
 
+    def look_at_all(self) -> None:
+        """Point the cameras so that the whole scene is seen."""
+        if take := self._take:
+            for client in clients_of(self._host):
+                self._point(client, take)
+
     def stop(self) -> None:
         """End the threads that draw and build; wait for each for at most five seconds."""
         self._crowding.stop()
@@ -176,12 +183,8 @@ class Player:
                 log.exception("the scene could not be drawn")
                 self._on_error(f"this design can't be shown: {error}")
 
-    def _watchers(self) -> list[viser.ClientHandle]:
-        host = self._host
-        return list(host.get_clients().values()) if isinstance(host, viser.ViserServer) else [host]
-
     def _moving(self) -> bool:
-        return bool(self._playing and self._take and self._take.frames > 1 and self._watchers())
+        return bool(self._playing and self._take and self._take.frames > 1 and clients_of(self._host))
 
     def _advance(self, elapsed: float) -> None:
         if self._take is None:
@@ -248,7 +251,7 @@ class Player:
         start = self._initial_camera
         position, target = camera(*take.box)
         start.fov, start.position, start.look_at = FIELD_OF_VIEW, position, target
-        for client in self._watchers():
+        for client in clients_of(self._host):
             self._point(client, take)
 
     def _point(self, client: viser.ClientHandle, take: Take) -> None:

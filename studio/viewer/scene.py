@@ -138,6 +138,11 @@ def light_up(host: Host) -> None:
     host.scene.add_light_directional("/light/above", intensity=1.9, position=(-3.0, -4.0, 8.0))
 
 
+def clients_of(host: Host) -> list[viser.ClientHandle]:
+    """Return the browsers that see what is drawn for the host."""
+    return list(host.get_clients().values()) if isinstance(host, viser.ViserServer) else [host]
+
+
 def initial_camera_of(host: Host) -> viser.InitialCameraConfig:
     """Return where the camera begins and is reset to; viser offers that for all browsers at once, and means it so."""
     if isinstance(host, viser.ViserServer):

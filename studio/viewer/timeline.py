@@ -33,6 +33,7 @@ class TimelinePanel:
         """
         self._on_choice = on_choice
         self._on_move = on_move
+        self._on_inject = on_inject
         self._on_star = on_star
         self._on_refusal = on_refusal
         self._recorded: list[int] = []
@@ -51,7 +52,7 @@ class TimelinePanel:
             self.iteration = gui.add_slider(
                 "iteration", 0, 1, 1, 0, hint="The design of this iteration; the first is the initial one"
             )
-            self.follow = gui.add_checkbox("live", True, hint="Show each new design as it comes (F)")
+            self.follow = gui.add_checkbox("live", True, hint="Show each new design as it comes (L)")
             self.legend = gui.add_html("")
             self.key = gui.add_html("")
             self.recorded = gui.add_button_group(
@@ -83,7 +84,7 @@ class TimelinePanel:
         self.evolve.on_click(lambda _: self.toggle_evolution())
         self.pace.on_update(lambda event: self._set_pace(event.client))
         self.star.on_click(lambda event: self.toggle_star(event.client))
-        self.inject.on_click(lambda event: on_inject(self._chosen_phi, event.client))
+        self.inject.on_click(lambda event: self.go_on_from_here(event.client))
 
     @property
     def remembered(self) -> dict[str, Remembered]:
@@ -154,6 +155,16 @@ class TimelinePanel:
         shown = self.shown_iteration
         self.evolution.pause()
         self.follow.value, self.iteration.value = False, min(shown, int(self.iteration.max))
+
+    def step(self, iterations: int) -> None:
+        """Go some iterations on or back, as far as the run reaches."""
+        if self._history is not None:
+            self.turn_to(min(self.shown_iteration + iterations, self._latest))
+            self._on_choice()
+
+    def go_on_from_here(self, client: viser.ClientHandle | None) -> None:
+        """Ask for the run to continue from the shown design."""
+        self._on_inject(self._chosen_phi, client)
 
     def toggle_follow(self) -> None:
         """Begin to follow the latest design, or stop following it."""

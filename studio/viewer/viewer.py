@@ -19,13 +19,15 @@ from studio.viewer import wording
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
 from studio.viewer.gallery import Album, GalleryPanel
+from studio.viewer.keys import Deed, Do, add_deeds
 from studio.viewer.legend import legend_of
 from studio.viewer.log import LogPanel
 from studio.viewer.looks import LooksPanel
+from studio.viewer.news import News
 from studio.viewer.playback import PlaybackPanel
 from studio.viewer.player import Player
-from studio.viewer.run import NOT_LIVE, RunPanel
-from studio.viewer.scene import Host, light_up
+from studio.viewer.run import MORE, NOT_LIVE, RunPanel
+from studio.viewer.scene import Host, clients_of, light_up
 from studio.viewer.start import StartPanel
 from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
@@ -34,7 +36,6 @@ from studio.viewer.traces import TracesPanel
 from studio.viewer.view import Remembered, View, put_back, ticks_of
 from studio.viewer.what_if import Answers, WhatIfPanel
 
-NEW_RUN = "+ new run"
 _START_PATIENCE = 15.0
 """Seconds after which a started run that never showed up is reported."""
 _BODY_FIRST = 0.2
@@ -68,6 +69,7 @@ class Viewer:
         family: Callable[[str], Member | None],
         album: Album,
     ) -> None:
+        self._host = host
         self._on_command = on_command
         self._on_start = on_start
         self._on_resume = on_resume
@@ -85,7 +87,6 @@ class Viewer:
         self._sought: int | None = None
         self._selected: str | None = None
         self._awaited_since = 0.0
-        self._labels: dict[str, str] = {}
         self._pending: dict[str, list[tuple[AnyCommand, int]]] = {}
         gui = host.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(47, 127, 209))
@@ -93,7 +94,6 @@ class Viewer:
         light_up(host)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(350)
-        self.chooser = gui.add_dropdown("run", [NEW_RUN], hint="Every run in the runs folder, newest first")
         self.notice = gui.add_html("", visible=False)
         self.start = StartPanel(gui, on_start=self._start, on_preview=self._refresh)
         self.tabs = gui.add_tab_group()
@@ -132,13 +132,13 @@ class Viewer:
             on_star=self._star,
             on_refusal=self.refuse,
         )
+        episode = self.timeline.panel.add_tab("Episode", viser.Icon.PLAYER_PLAY)
+        self.playback = PlaybackPanel(gui, episode, self.player, on_refusal=self.refuse)
         look = self.timeline.panel.add_tab("Look", viser.Icon.PALETTE)
         self.looks = LooksPanel(gui, look, on_choice=self._refresh)
         self.timeline.panel.dock_below(gui.main_panel)
-        self.playback = PlaybackPanel(gui, self.player, on_refusal=self.refuse)
-        self.playback.panel.dock_below(self.timeline.panel)
-        self._add_commands(gui)
-        self.chooser.on_update(lambda event: self._choose(event.client) if event.client else None)
+        add_deeds(gui, self._deeds())
+        self._news = News()
         self._refresh()
 
     @property
@@ -162,6 +162,9 @@ class Viewer:
                     self._selected = current
             self._settle_pending()
             self._refresh()
+        for piece in self._news.look(self._histories, self._statuses):
+            for client in clients_of(self._host):
+                client.add_notification(piece.title, piece.sentence, color=piece.colour, auto_close_seconds=15.0)
 
     def turn_to(self, iteration: int) -> None:
         """Show the design of an iteration of the run on screen, now or as soon as the run is known."""
@@ -172,6 +175,7 @@ class Viewer:
     def open(self, run_id: str | None, iteration: int | None = None) -> None:
         """Open the run of that name, or the start panel if it is None, and show the design of an iteration."""
         with self._lock:
+            self.start.branch_from(None)
             self.select(run_id)
             if iteration is not None:
                 self.turn_to(iteration)
@@ -320,25 +324,33 @@ class Viewer:
 
         self._send(command, client)
 
-    def _choose(self, client: viser.ClientHandle | None) -> None:
-        chosen = self.chooser.value
-        known = {label: run_id for run_id, label in self._labels.items()}
-        if chosen != NEW_RUN and chosen not in known:
-            self.refuse(f'unknown run "{chosen}"; choose one of the list', client)
-            return
-        self.start.branch_from(None)
-        self.select(None if chosen == NEW_RUN else known[chosen])
+    def _deeds(self) -> list[Deed]:
+        """Return what the command palette offers; the page's help names the keys."""
+        icon, timeline, playback = viser.Icon, self.timeline, self.playback
+        return [
+            Deed("Play or pause the episode", lambda _: playback.toggle_playback(), ("space", "K"), icon.PLAYER_PLAY),
+            Deed("One iteration back", lambda _: timeline.step(-1), ("arrowleft",), icon.ARROW_LEFT),
+            Deed("One iteration on", lambda _: timeline.step(1), ("arrowright",), icon.ARROW_RIGHT),
+            Deed("Live: follow the latest design", lambda _: timeline.toggle_follow(), ("L",), icon.PLAYER_TRACK_NEXT),
+            Deed("Play or pause the evolution", lambda _: timeline.toggle_evolution(), ("E",), icon.MOVIE),
+            Deed("Star the shown design", self._at_a_run(timeline.toggle_star), ("S",), icon.STAR),
+            Deed("Branch from the shown iteration", self._at_a_run(self._open_branch), ("B",), icon.GIT_BRANCH),
+            Deed("Pause or resume the run", self._at_a_run(self.run.toggle), ("P",), icon.PLAYER_PAUSE),
+            Deed("New run", lambda _: self.open(None), ("N",), icon.PLUS),
+            Deed("Show the whole scene", lambda _: self.player.look_at_all(), ("R",), icon.FOCUS_CENTERED),
+            *(
+                Deed(f"{word} the run", self._at_a_run(lambda client, word=word: self.run.ask(word, client)))
+                for word in MORE
+            ),
+            Deed("Continue the run from the shown design", self._at_a_run(timeline.go_on_from_here)),
+            Deed("Change this body: what if", self._at_a_run(lambda _: self.what_if.start())),
+            Deed("Close what if", lambda _: self.what_if.close()),
+            Deed("Check and prepare the export", self._at_a_run(lambda _: self.export.submit())),
+        ]
 
-    def _add_commands(self, gui: viser.GuiApi) -> None:
-        run = gui.add_command("Pause or resume the run", hotkey="P", icon=viser.Icon.PLAYER_PAUSE)
-        run.on_trigger(lambda event: self.run.toggle(event.client) if self._selected else None)
-        for hotkey in ("space", "K"):
-            playback = gui.add_command("Play or pause the episode", hotkey=hotkey, icon=viser.Icon.PLAYER_PLAY)
-            playback.on_trigger(lambda _: self.playback.toggle_playback())
-        branch = gui.add_command("Branch from the shown iteration", hotkey="B", icon=viser.Icon.GIT_BRANCH)
-        branch.on_trigger(lambda event: self._open_branch(event.client) if self._selected else None)
-        follow = gui.add_command("Follow the latest design", hotkey="F", icon=viser.Icon.PLAYER_TRACK_NEXT)
-        follow.on_trigger(lambda _: self.timeline.toggle_follow())
+    def _at_a_run(self, do: Do) -> Do:
+        """Return the deed, but nothing where no run is on screen."""
+        return lambda client: do(client) if self._selected in self._histories else None
 
     # --- what is shown ---
 
@@ -346,7 +358,6 @@ class Viewer:
         """Bring every panel up to date with the selected run."""
         with self._lock:
             run_id = self._selected
-            self._list_runs()
             history = self._histories.get(run_id) if run_id else None
             self.start.folder.visible = run_id is None
             self.tabs.visible = run_id is not None
@@ -428,18 +439,6 @@ class Viewer:
         self.run.show_message(status, message)
         self.traces.clear(f"{status}: {message}")
         self.timeline.clear(message)
-
-    def _list_runs(self) -> None:
-        ids = {*self._histories, *self._statuses, *([self._selected] if self._selected else [])}
-        self._labels = {
-            run_id: f"{self._statuses.get(run_id, ('starting', ''))[0]} · {run_id}"
-            for run_id in sorted(ids, reverse=True)
-        }
-        options = (NEW_RUN, *self._labels.values())
-        chosen = self._labels[self._selected] if self._selected else NEW_RUN
-        if tuple(self.chooser.options) != options:
-            self.chooser.options = options
-        self.chooser.value = chosen
 
     def _shown_design(self, history: History) -> tuple[int, np.ndarray]:
         """Return the iteration and phi (d,) that are to be shown."""

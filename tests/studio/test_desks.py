@@ -176,7 +176,8 @@ def test_one_browser_too_many_waits_until_another_leaves(room: Room) -> None:
         assert eventually(lambda: len(room.desks._seated()) == MOST)
         others.enter_context(room.browser(key("late")))
         assert eventually(lambda: room.desks._waiting)
-        assert not room.desks.seen(key("late")).connected
+        assert room.desks.seen(key("late")).connected
+        assert room.desks.seen(key("late")).run is None
         leaving.close()
         assert room.shows(key("late"), NAME)
 

@@ -38,7 +38,6 @@ from morph_core.protocol import (
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, write_episode
 from studio.new_run import StartRun, prepare_run
 from studio.viewer.take import Shot, make_take
-from studio.viewer.viewer import NEW_RUN
 
 
 @pytest.fixture
@@ -242,27 +241,23 @@ def test_a_rollout_that_is_damaged_is_reported_and_the_next_design_is_shown(page
 # --- choosing ---
 
 
-def test_what_the_studio_suggests_is_opened_once_and_a_choice_then_stays(
-    page: Page, folder: RunFolder, wire: Callable[[viser.GuiInputHandle, object], None]
-) -> None:
+def test_what_the_studio_suggests_is_opened_once_and_a_choice_then_stays(page: Page, folder: RunFolder) -> None:
     page.show(folder)
     assert page.viewer.selected == NAME
-    wire(page.viewer.chooser, NEW_RUN)
-    assert eventually(lambda: page.viewer.selected is None)
+    page.viewer.open(None)
     page.show(folder)
     assert page.viewer.selected is None
     assert page.viewer.start.folder.visible
-    wire(page.viewer.chooser, f"finished · {NAME}")
-    assert eventually(lambda: page.viewer.selected == NAME)
-
-
-def test_an_unknown_run_from_the_wire_changes_nothing(
-    page: Page, folder: RunFolder, wire: Callable[[viser.GuiInputHandle, object], None]
-) -> None:
-    page.show(folder)
-    wire(page.viewer.chooser, "finished · ../../etc")
-    assert eventually(lambda: "unknown run" in page.viewer.notice.content)
+    page.viewer.open(NAME)
     assert page.viewer.selected == NAME
+
+
+def test_an_unknown_run_is_said_to_be_unknown(page: Page, folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    page.show(folder)
+    monkeypatch.setattr("studio.viewer.viewer._START_PATIENCE", -1.0)
+    page.viewer.open("../../<etc>")
+    assert "../../&lt;etc&gt; has not shown up" in page.viewer.run.failure.content
+    assert not page.viewer.run.pause.visible
 
 
 # --- steering ---
