@@ -33,7 +33,19 @@ COMMANDS = [
 
 def test_the_readme_shows_every_command() -> None:
     shown = {shlex.split(command)[1] for command in COMMANDS}
-    assert shown == {"serve", "train", "study", "runs", "log", "replay", "evaluate", "export", "verify", "import"}
+    assert shown == {
+        "serve",
+        "train",
+        "study",
+        "runs",
+        "log",
+        "replay",
+        "evaluate",
+        "compare",
+        "export",
+        "verify",
+        "import",
+    }
 
 
 @pytest.mark.parametrize("command", COMMANDS)
