@@ -64,15 +64,15 @@ def _print(found: Compared) -> None:
     for heading in ("", "A", "B", "B - A"):
         table.add_column(heading, justify="right" if heading else "left")
     a, b, more = found.a, found.b, found.differences
-    table.add_row("success [95 %]", _success(a), _success(b), _signed(more.success))
-    table.add_row("return [95 %]", _return(a), _return(b), _signed(more.episode_return))
+    table.add_row(Text("success [95 %]"), _success(a), _success(b), _signed(more.success))
+    table.add_row(Text("return [95 %]"), _return(a), _return(b), _signed(more.episode_return))
     for term in dict.fromkeys((*a.reward_terms, *b.reward_terms)):
         values = [_number(side.reward_terms.get(term)) for side in (a, b)]
         table.add_row(f"  {term}", *values, _signed(more.reward_terms.get(term)))
     for name in dict.fromkeys((*a.phi, *b.phi)):
         values = [_number(side.phi.get(name)) for side in (a, b)]
-        table.add_row(f"{name} [{found.units[name]}]", *values, _signed(more.phi.get(name)))
-    table.add_row("mass of the robot [kg]", _number(a.mass), _number(b.mass), _signed(more.mass))
+        table.add_row(Text(f"{name} [{found.units[name]}]".removesuffix(" []")), *values, _signed(more.phi.get(name)))
+    table.add_row(Text("mass of the robot [kg]"), _number(a.mass), _number(b.mass), _signed(more.mass))
     for body in dict.fromkeys((*a.masses, *b.masses)):
         values = [_number(side.masses.get(body)) for side in (a, b)]
         table.add_row(f"  {body}", *values, _signed(more.masses.get(body)))

@@ -9,8 +9,20 @@ import numpy as np
 import viser
 
 from studio.viewer.figure import Figure
-from studio.viewer.scene import CONTACT_COLOUR, FIELD_OF_VIEW, GHOST_COLOUR, NARROW, USUAL_ASPECT, Layer, Ruler, camera
-from studio.viewer.take import FRAMES_PER_SECOND, Shot, Take, make_take
+from studio.viewer.scene import (
+    CONTACT_COLOUR,
+    FIELD_OF_VIEW,
+    FORCE_COLOUR,
+    GHOST_COLOUR,
+    NARROW,
+    USUAL_ASPECT,
+    Arrows,
+    Layer,
+    Letters,
+    Ruler,
+    camera,
+)
+from studio.viewer.take import FRAMES_PER_SECOND, Second, Shot, Take, make_take
 
 SPEEDS = (0.1, 4.0)
 _HOLD = 1.0
@@ -19,6 +31,8 @@ _IDLE = 0.25
 """Seconds between two looks for a browser while nobody watches."""
 _CONTACT_RADIUS = 0.012
 """Radius of a contact marker, as a share of the scene's longest side."""
+_ARROW_RADIUS = 0.004
+"""Radius of a force's arrow, as a share of the scene's longest side."""
 
 log = logging.getLogger(__name__)
 
@@ -44,12 +58,17 @@ class Player:
         self._trail = Layer(server, "trail", opacity=0.35)
         self._population = Layer(server, "population", opacity=0.3)
         self._contact = Layer(server, "contact")
+        self._forces = Arrows(server, "forces", FORCE_COLOUR)
+        self._second_robot = Layer(server, "second_robot", opacity=0.75)
+        self._second_objects = Layer(server, "second_objects", opacity=0.75)
+        self._second_scenery = Layer(server, "second_scenery")
+        self._letters = Letters(server, "letters", ("A", "B"))
         self._ruler = Ruler(server)
         self._change = threading.Condition()
         self._shot: Shot | None = None
         self._take: Take | None = None
         self._built: Shot | None = None
-        self._framed: tuple[str, tuple[tuple[str, object], ...]] | None = None
+        self._framed: tuple[object, ...] | None = None
         self._painted: dict[Layer, np.ndarray] = {}
         self._marked: bytes | None = None
         self._time = 0.0
@@ -71,7 +90,8 @@ class Player:
     def node_names(self) -> list[str]:
         """Return the sorted names of the nodes that the scene has."""
         ghosts = (self._ghost, self._trail, self._population)
-        layers = (self._robot, self._objects, self._scenery, *ghosts, self._contact)
+        second = (self._second_robot, self._second_objects, self._second_scenery)
+        layers = (self._robot, self._objects, self._scenery, *ghosts, self._contact, *second)
         return sorted(name for layer in layers for name in layer.node_names)
 
     @property
@@ -99,6 +119,14 @@ class Player:
         with self._change:
             self._time, self._sought = max(0.0, seconds), True
             self._change.notify()
+
+    def step(self, frames: int) -> None:
+        """Go so many frames on, or back where negative, and stay there."""
+        with self._change:
+            if self._take:
+                frame = min(max(self._instant() + frames, 0), self._take.last_frame)
+                self._playing, self._time, self._sought = False, frame / FRAMES_PER_SECOND, True
+                self._change.notify()
 
     def set_speed(self, speed: float) -> None:
         """Set the speed as a multiple of real time, kept within `SPEEDS`."""
@@ -143,7 +171,7 @@ class Player:
                 self._on_error(f"this design can't be shown: {error}")
 
     def _moving(self) -> bool:
-        return bool(self._playing and self._take and self._take.frames > 1 and self._server.get_clients())
+        return bool(self._playing and self._take and self._take.duration > 0 and self._server.get_clients())
 
     def _advance(self, elapsed: float) -> None:
         if self._take is None:
@@ -161,8 +189,9 @@ class Player:
             self._time = 0.0
         with self._server.atomic():
             self._scenery.show(take.scenery)
-            self._objects.show(take.objects, self._instant())
-            self._robot.show(take.robot, self._instant())
+            self._objects.show(take.objects, self._instant_of(take))
+            self._robot.show(take.robot, self._instant_of(take))
+            self._put_up_second(take.second)
             for layer, figure in (
                 (self._ghost, take.ghost),
                 (self._trail, take.trail),
@@ -171,9 +200,18 @@ class Player:
                 layer.show(figure, 0, _plain(figure))
         self._painted = {self._scenery: take.scenery.colours, self._objects: take.objects.colours}
 
+    def _put_up_second(self, second: Second | None) -> None:
+        """Replace the second of two designs, and the letters above both where they stand side by side."""
+        frame = self._instant_of(second) if second else 0
+        self._second_robot.show(second.robot if second else None, frame)
+        self._second_objects.show(second.objects if second else None, frame)
+        self._second_scenery.show(second.scenery if second else None)
+        self._letters.show(second.letters if second and second.scenery is not None else None)
+
     def _frame(self, take: Take) -> None:
         """Lay the ruler and point the cameras, once for each task and its options."""
-        place = (take.shot.task, take.shot.task_options)
+        aside = tuple(take.second.away) if take.second else (0.0, 0.0, 0.0)
+        place = (take.shot.task, take.shot.task_options, aside)
         if place == self._framed:
             return
         self._framed = place
@@ -196,19 +234,28 @@ class Player:
             self._point(client, self._take)
 
     def _instant(self) -> int:
-        return min(round(self._time * FRAMES_PER_SECOND), self._take.frames - 1) if self._take else 0
+        return min(round(self._time * FRAMES_PER_SECOND), self._take.last_frame) if self._take else 0
+
+    def _instant_of(self, episode: Take | Second) -> int:
+        """Return the frame in which one of two episodes is now; the shorter one stays at its end."""
+        return min(self._instant(), episode.frames - 1)
 
     def _draw(self) -> None:
         take = self._take
         if take is None:
             return
-        frame = self._instant()
+        frame = self._instant_of(take)
         with self._server.atomic():  # robot, lights and contact markers belong to one instant
             self._robot.pose(frame)
             self._objects.pose(frame)
+            if take.second:
+                self._second_robot.pose(self._instant_of(take.second))
+                self._second_objects.pose(self._instant_of(take.second))
             self._paint(self._scenery, take.scenery_colours(frame))
             self._paint(self._objects, take.object_colours(frame))
             self._mark(take.contact[frame], take)
+            radius = _ARROW_RADIUS * float(np.max(take.box[1] - take.box[0]))
+            self._forces.show(take.forces.at(frame) if take.forces else np.zeros((0, 2, 3)), radius)
 
     def _paint(self, layer: Layer, colours: np.ndarray) -> None:
         if not np.array_equal(colours, self._painted.get(layer, colours)):

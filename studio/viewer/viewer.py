@@ -112,8 +112,8 @@ class Viewer:
         self.player = Player(server, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
         self.timeline = TimelinePanel(gui, on_choice=self._refresh, on_inject=self._inject, on_refusal=self.refuse)
         self.timeline.panel.dock_below(gui.main_panel)
-        self.playback = PlaybackPanel(gui, self.player, on_refusal=self.refuse)
-        self.playback.panel.dock_below(self.timeline.panel)
+        self.playback = PlaybackPanel(gui, self.player, on_choice=self._refresh, on_refusal=self.refuse)
+        self.playback.panel.dock_below(left)
         self._add_commands(gui)
         self.chooser.on_update(lambda event: self._choose(event.client) if event.client else None)
         self._refresh()
@@ -300,6 +300,7 @@ class Viewer:
             self.export.update(history)
             self.timeline.update(history, live=live, by_hand=self.what_if.is_changed)
             shown, phi = self._shown_design(history)
+            self.playback.update(history, shown)
             self.run.offer_branch(shown)
             self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
@@ -370,6 +371,8 @@ class Viewer:
             task_options=tuple(sorted(history.record.task_options.items())),
             phi=tuple(in_front.tolist()),
             episode=None if self.what_if.open else recorded,
+            which=self.playback.which if recorded and not self.what_if.open else None,
+            forces=self.playback.forces.value,
             played=self.what_if.episode if self.what_if.open else None,
             ghost=before if self.timeline.ghost.value and (changed or shown > history.begins_at or recorded) else None,
             ghost_name=name,
@@ -394,10 +397,10 @@ class Viewer:
                     open_ones.append((command, asked_at))
             self._pending[run_id] = open_ones
 
-    def _show_time(self, seconds: float, duration: float) -> None:
-        self.playback.show_time(seconds, duration)
-        if self.player.take:
-            self.timeline.show_legend(legend_of(self.player.take))
+    def _show_time(self, seconds: float, _duration: float) -> None:
+        if take := self.player.take:
+            self.playback.show_time(take, seconds)
+            self.timeline.show_legend(legend_of(take))
 
 
 def _sender(client: viser.ClientHandle | None) -> str:

@@ -29,8 +29,9 @@ def runs(tmp_path: Path) -> Path:
         log = EventLog(folder)
         log.append(
             Evaluation(
-                iteration=2 if name == NAME else 3, env_steps=300, phi=[2.8] * 5, sampled_success=success,
-                sampled_return=value, deterministic_success=0.0, deterministic_return=0.0, episodes=100,
+                iteration=2 if name == NAME else 3, env_steps=300, phi=[2.8 if name == NAME else 2.7] * 5,
+                sampled_success=success, sampled_return=value, deterministic_success=0.0,
+                deterministic_return=0.0, episodes=100,
                 reward_terms={"distance": value - 1.0, "goal": 1.0}, return_interval=(value - 0.5, value + 0.5),
             )
         )  # fmt: skip
