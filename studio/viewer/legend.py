@@ -7,7 +7,7 @@ import numpy as np
 from studio.viewer import wording
 from studio.viewer.figure import Figure
 from studio.viewer.scene import CONTACT_COLOUR, FORCE_COLOUR, GHOST_COLOUR
-from studio.viewer.take import GOAL_LIT, LIT_BY, WALL_LIT, Take
+from studio.viewer.take import GOAL_LIT, LIT_BY, SECOND_COLOUR, WALL_LIT, Take
 
 Colour = tuple[int, int, int]
 
@@ -39,6 +39,8 @@ def _entries(take: Take) -> Iterator[tuple[Colour, str]]:
         yield WALL_LIT, "wall hit"
     if take.forces:
         yield FORCE_COLOUR, f"contact force, 1 cm is {take.forces.newtons_per_cm:g} N"
+    if take.second and take.shot.overlaid:
+        yield SECOND_COLOUR, "B, tinted"
     pale = [(take.shot.ghost_name, take.ghost), ("earlier", take.trail), ("explored", take.population)]
     names = [name for name, figure in pale if figure]
     if names:

@@ -16,6 +16,7 @@ from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design
 from studio.new_run import StartRun
 from studio.viewer import wording
+from studio.viewer.compare import ComparePanel
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
 from studio.viewer.legend import legend_of
@@ -114,6 +115,8 @@ class Viewer:
         self.timeline.panel.dock_below(gui.main_panel)
         self.playback = PlaybackPanel(gui, self.player, on_choice=self._refresh, on_refusal=self.refuse)
         self.playback.panel.dock_below(left)
+        with self.playback.panel.add_tab("A/B", viser.Icon.ARROWS_LEFT_RIGHT):
+            self.compare = ComparePanel(gui, on_choice=self._refresh, on_refusal=self.refuse)
         self._add_commands(gui)
         self.chooser.on_update(lambda event: self._choose(event.client) if event.client else None)
         self._refresh()
@@ -301,6 +304,7 @@ class Viewer:
             self.timeline.update(history, live=live, by_hand=self.what_if.is_changed)
             shown, phi = self._shown_design(history)
             self.playback.update(history, shown)
+            self.compare.update(self._histories, history, shown)
             self.run.offer_branch(shown)
             self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
@@ -327,6 +331,7 @@ class Viewer:
         self.design.clear()
         self.export.clear()
         self.what_if.clear()
+        self.compare.clear()
         if run_id is None:
             self.traces.clear("no data yet: press Start")
             self.timeline.clear("what a run begins with, in its start posture")
@@ -366,12 +371,14 @@ class Viewer:
         if changed:
             before, name = tuple(phi.tolist()), "recorded"
         in_front = self.what_if.phi if self.what_if.open else phi
+        which = self.playback.which if recorded and not self.what_if.open else None
+        second, overlaid = self.compare.second_shot(which, printed=self.timeline.printed.value)
         return Shot(
             task=history.record.task,
             task_options=tuple(sorted(history.record.task_options.items())),
             phi=tuple(in_front.tolist()),
             episode=None if self.what_if.open else recorded,
-            which=self.playback.which if recorded and not self.what_if.open else None,
+            which=which,
             forces=self.playback.forces.value,
             played=self.what_if.episode if self.what_if.open else None,
             ghost=before if self.timeline.ghost.value and (changed or shown > history.begins_at or recorded) else None,
@@ -379,6 +386,8 @@ class Viewer:
             trail=tuple(self.timeline.earlier(history)),
             printed=self.timeline.printed.value,
             population=self.timeline.population.value,
+            second=second,
+            overlaid=overlaid,
         )
 
     def _settle_pending(self) -> None:
