@@ -106,7 +106,7 @@ def side_of(history: History, which: str) -> Side:
     record = history.record
     masses = dict(_masses(record.task, json.dumps(record.task_options, sort_keys=True), tuple(phi.tolist())))
     said = evaluation_of(history, iteration)
-    measured = _measured(said) if said else {"note": _why_not_evaluated(history, iteration)}
+    measured: dict[str, Any] = _measured(said) if said else {"note": _why_not_evaluated(history, iteration)}
     return Side(
         run=history.folder.id,
         iteration=iteration,

@@ -15,6 +15,7 @@ from studio.viewer.take import SECOND_COLOUR, Shot
 View = Literal["off", "side by side", "overlaid"]
 Refuse = Callable[[str, viser.ClientHandle | None], None]
 _VIEWS = get_args(View)
+_NO_RUN: str = ""
 _INTRODUCTION = (
     "A is the design on screen, as the timeline has it. Choose a second one, B, or pin the one on screen and go on "
     "along the timeline; both play on one clock."
@@ -37,7 +38,7 @@ class ComparePanel:
         self.pin = gui.add_button(
             "Pin the design on screen as B", icon=viser.Icon.PIN, hint="It stays while A goes on along the timeline"
         )
-        self.run = gui.add_dropdown("B: run", ("",))
+        self.run = gui.add_dropdown("B: run", [_NO_RUN])
         self.iteration = gui.add_slider("B: iteration", 0, 1, 1, 0)
         self.note = gui.add_html("", visible=False)
         self.table = gui.add_html("", visible=False)
@@ -49,7 +50,7 @@ class ComparePanel:
     def update(self, histories: Mapping[str, History], history: History, shown: int) -> None:
         """Offer the runs, and say how the second design differs from that of iteration `shown` of a run."""
         self._first, self._histories = (history, shown), dict(histories)
-        if self._second is None:
+        if self._second is None or (self.view.value == "off" and self._second.folder.id != history.folder.id):
             self._second = history
             self.iteration.value = history.begins_at
         second = self._second = self._histories.get(self._second.folder.id, self._second)
@@ -137,7 +138,7 @@ class ComparePanel:
             words.append("They run with other options of the task, in other surroundings, so they stand side by side.")
         self._say(" ".join(word for word in words if word))
         found = compare(history, str(shown), second, str(iteration))
-        a, b = ("its own colours", "tinted") if self._is_overlaid else ("marked A", "marked B")
+        a, b = ("own colours", "tinted") if self._is_overlaid else ("", "")
         self.table.content = comparison_table(found, history, (a, b), SECOND_COLOUR if self._is_overlaid else None)
         self.table.visible = True
 
@@ -147,8 +148,9 @@ class ComparePanel:
         self.table.visible = False
 
     def _set_visible(self, visible: bool) -> None:
-        for handle in (self.introduction, self.view, self.pin):
+        for handle in (self.view, self.pin):
             handle.visible = visible
+        self.introduction.visible = visible and self.view.value == "off"
         for handle in (self.run, self.iteration):
             handle.visible = visible and self.view.value != "off"
 

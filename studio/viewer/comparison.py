@@ -7,7 +7,10 @@ from studio.compare import Compared, Side
 from studio.viewer import wording
 from studio.viewer.parts import quantities_of
 
-_CELL = "text-align:right;vertical-align:top;padding:0.05em 0 0.05em 0.7em;font-variant-numeric:tabular-nums"
+_CELL = (
+    "text-align:right;white-space:nowrap;vertical-align:top;padding:0.05em 0 0.05em 0.7em;"
+    "font-variant-numeric:tabular-nums"
+)
 _TABLE = "width:97%;border-collapse:collapse;line-height:1.3"
 _RULE = "border-top:1px solid rgba(128,138,150,0.35)"
 _UNKNOWN = wording.dim("unknown")
@@ -24,25 +27,20 @@ def comparison_table(
     rows += [*_outcome_rows(found), *_phi_rows(found, history), *_mass_rows(found)]
     notes = [side.note for side in (found.a, found.b) if side.note]
     said = "".join(f"{wording.text(note)}.<br>" for note in notes)
+    said += "".join(f"{letter}: {wording.text(side.run)}<br>" for letter, side in (("A", found.a), ("B", found.b)))
     said += "sampled policy on Hw-Phy, [intervals] at 95 %; terms of the reward add up to the return"
     return wording.paragraph(f'<table style="{_TABLE}">{"".join(rows)}</table>{wording.dim(said)}')
 
 
 def _heading(side: Side, letter: str, look: str, tint: tuple[int, int, int] | None) -> str:
     swatch = f"{wording.swatch(tint)} " if tint else ""
-    return f"{swatch}<b>{letter}</b> {wording.dim(wording.text(look))}<br>iteration {side.iteration}<br>{_run(side)}"
-
-
-def _run(side: Side) -> str:
-    return f'<span style="font-size:0.8em;opacity:0.65;overflow-wrap:anywhere">{wording.text(side.run)}</span>'
+    return f"{swatch}<b>{letter}</b> {wording.dim(wording.text(look))}<br>iteration {side.iteration}"
 
 
 def _outcome_rows(found: Compared) -> list[str]:
     a, b, more = found.a, found.b, found.differences
     rows = [
-        _row(
-            "<b>success</b>", [_success(a), _success(b), _known(more.success, lambda d: _points(100 * d))], ruled=True
-        ),
+        _row("<b>success</b>", [_success(a), _success(b), _known(more.success, _points)], ruled=True),
         _row("return", [_return(a), _return(b), _known(more.episode_return, _signed)]),
     ]
     for term in dict.fromkeys((*a.reward_terms, *b.reward_terms)):
@@ -97,7 +95,7 @@ def _success(side: Side) -> str:
     if side.success is None:
         return _UNKNOWN
     ends = side.success_interval
-    interval = wording.dim(f" [{100 * ends[0]:.0f}, {100 * ends[1]:.0f}]") if ends else ""
+    interval = wording.dim(f"<br>[{100 * ends[0]:.0f}, {100 * ends[1]:.0f}]") if ends else ""
     return f"<b>{wording.percent(side.success)}</b>{interval}"
 
 
@@ -105,7 +103,7 @@ def _return(side: Side) -> str:
     if side.episode_return is None:
         return _UNKNOWN
     ends = side.return_interval
-    interval = wording.dim(f" [{', '.join(map(_number, ends))}]") if ends else ""
+    interval = wording.dim(f"<br>[{', '.join(map(_number, ends))}]") if ends else ""
     return f"{_number(side.episode_return)}{interval}"
 
 

@@ -12,7 +12,7 @@ from studio.viewer.rewards import cursor, reward_chart, reward_legend
 from studio.viewer.take import Take
 
 Refuse = Callable[[str, viser.ClientHandle | None], None]
-_ONLY = "the only one recorded"
+_ONLY: str = "the only one recorded"
 
 
 class PlaybackPanel:

@@ -31,7 +31,7 @@ _IDLE = 0.25
 """Seconds between two looks for a browser while nobody watches."""
 _CONTACT_RADIUS = 0.012
 """Radius of a contact marker, as a share of the scene's longest side."""
-_ARROW_RADIUS = 0.004
+_ARROW_RADIUS = 0.006
 """Radius of a force's arrow, as a share of the scene's longest side."""
 
 log = logging.getLogger(__name__)

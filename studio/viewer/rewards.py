@@ -7,8 +7,8 @@ import numpy as np
 from studio.viewer import wording
 from studio.viewer.parts import COLOURS
 
-_WIDTH, _HEIGHT = 300.0, 84
-_PLACE = "position:relative;margin:0 15.2% 0 24.4%"
+_WIDTH, _HEIGHT = 300.0, 58
+_PLACE = "position:relative;margin:0 17% 0 30.8%"
 """Style that puts the chart below the track of the time slider, so that both have one scale."""
 _AXIS = (
     "position:absolute;right:100%;top:0;bottom:0;padding-right:0.4em;font-size:0.65em;line-height:1;"
@@ -44,15 +44,15 @@ def reward_chart(terms: Mapping[str, np.ndarray], share: float) -> str:
 
 
 def reward_legend(terms: Mapping[str, np.ndarray]) -> str:
-    """Return as HTML which colour is which term, and what each pays over the episode."""
+    """Return as HTML which colour is which term, and what each pays over the episode; rewards have no unit."""
     entries = [
         f'<span style="white-space:nowrap;margin-right:0.9em">{wording.swatch(COLOURS[i % len(COLOURS)])} '
         f"{wording.text(name.replace('_', ' '))} {_signed(float(term.sum()))}</span>"
         for i, (name, term) in enumerate(terms.items())
     ]
     total = _signed(float(sum(term.sum() for term in terms.values())))
-    said = wording.dim(f"sums over the episode; return {total}, without unit")
-    return wording.paragraph(f"{' '.join(entries)}<br>{said}")
+    said = wording.dim(f'<span style="white-space:nowrap">return {total} in all</span>')
+    return wording.paragraph(f"{' '.join(entries)} {said}")
 
 
 def cursor(share: float) -> str:

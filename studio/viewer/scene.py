@@ -12,7 +12,7 @@ from studio.viewer import shapes
 from studio.viewer.figure import Figure, Mesh
 
 CONTACT_COLOUR = (225, 30, 30)
-FORCE_COLOUR = (240, 150, 0)
+FORCE_COLOUR = (220, 0, 170)
 GHOST_COLOUR = (128, 142, 170)
 FIELD_OF_VIEW = math.radians(40)
 """Vertical field of view of the camera, in radians."""
