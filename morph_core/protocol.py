@@ -174,6 +174,10 @@ class Progress(Event, tag="progress", frozen=True):
     not differentiable."""
     alpha: float | None = None
     projection: Projection | None = None
+    frozen: bool = False
+    """Whether phi stays as it is from here on, because episodes succeed often enough."""
+    control_start: int = 0
+    """The iteration after which policy and critic last started afresh; 0 for the first weights."""
     relabelled_steps: int = 0
     """Steps of Hw-Phy so far outside of trajectories and of the search for phi: fitting the proxy, relabelling, and
     what an exploration asks of designs. A run from before `search_steps` were told apart counts them here."""

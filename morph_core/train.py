@@ -52,8 +52,8 @@ HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
 PAUSED = "it keeps its core, on a cluster too: Resume goes on, Stop saves and frees the core"
-SHOWN_DESIGNS = 12
-"""Largest number of explored designs that are kept with an evaluation."""
+SHOWN_DESIGNS = 64
+"""Largest number of explored designs, and of designs that CMA-ES tried, that are kept with an evaluation."""
 _SAVED_AFTER = AnyEdit | protocol.Checkpoint
 """The commands that need a checkpoint before they are acknowledged; the others change nothing that one holds."""
 
@@ -215,6 +215,8 @@ class Trainer:
         arrays = record_episodes(task, rollout, state.phi)
         if state.explored is not None:
             arrays["population"] = state.explored[:SHOWN_DESIGNS]
+        if state.generation is not None:
+            arrays["generation"] = state.generation[:SHOWN_DESIGNS]
         name = self._persist(lambda: write_episode(self._folder, state.iteration, arrays))
         self._tell(state, sampled, mean, method.evaluation.episodes, episode=name, recorded=outcomes(rollout))
 

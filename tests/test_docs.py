@@ -1,4 +1,4 @@
-"""What README and CONTRIBUTING say is so: their commands, their files and the ten lines of Python."""
+"""What README, docs/use.md and CONTRIBUTING say is so: their commands, their files and the ten lines of Python."""
 
 import re
 import shlex
@@ -12,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+USE = (ROOT / "docs" / "use.md").read_text()
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 EXAMPLE = ROOT / "examples" / "ten_lines.py"
 MORPH_STUDIO = Path(sysconfig.get_path("scripts")) / "morph-studio"
@@ -24,14 +25,14 @@ def _blocks(text: str, language: str) -> list[str]:
 
 COMMANDS = [
     part.split("#")[0].strip()
-    for block in _blocks(README, "sh")
+    for block in _blocks(README + USE, "sh")
     for line in block.splitlines()
     for part in line.split("&&")
     if part.strip().startswith("morph-studio")
 ]
 
 
-def test_the_readme_shows_every_command() -> None:
+def test_readme_and_docs_show_every_command() -> None:
     shown = {shlex.split(command)[1] for command in COMMANDS}
     assert shown == {
         "serve",
@@ -49,12 +50,16 @@ def test_the_readme_shows_every_command() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_of_the_readme_exists_with_its_options(command: str) -> None:
+def test_every_command_that_is_shown_exists_with_its_options(command: str) -> None:
     words = shlex.split(command)
     ended = subprocess.run([MORPH_STUDIO, words[1], "--help"], capture_output=True, text=True, timeout=60)
     assert ended.returncode == 0, ended.stderr
     for option in (word for word in words if word.startswith("--")):
         assert option in ended.stdout
+
+
+def test_the_readme_stays_one_screen() -> None:
+    assert len(README.split("## Citation")[0].split()) <= 560
 
 
 def test_the_readme_sets_up_with_two_commands() -> None:
@@ -63,9 +68,9 @@ def test_the_readme_sets_up_with_two_commands() -> None:
     assert 'pip install -e ".[test]" && pytest' in blocks
 
 
-def test_the_readme_shows_the_example_as_it_is() -> None:
+def test_the_docs_show_the_example_as_it_is() -> None:
     program = EXAMPLE.read_text().split('"""\n\n', 1)[1]
-    assert _blocks(README, "python")[0] == program
+    assert _blocks(USE, "python")[0] == program
     assert len([line for line in program.splitlines() if line]) <= 10
 
 
@@ -81,14 +86,14 @@ def test_the_example_prints_a_line_per_iteration() -> None:
     assert re.fullmatch(r" +1  success \d\.\d\d  links( \d\.\d\d){5} m\n", first)
 
 
-def test_what_the_readme_shows_of_gymnasium_runs() -> None:
-    program = _blocks(README, "python")[1] + "print(env.reset(seed=0)[0].shape, env.render().shape, envs.num_envs)"
+def test_what_the_docs_show_of_gymnasium_runs() -> None:
+    program = _blocks(USE, "python")[1] + "print(env.reset(seed=0)[0].shape, env.render().shape, envs.num_envs)"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert ended.stdout == "(16,) (480, 640, 3) 4\n", ended.stderr
 
 
-@pytest.mark.parametrize("folder", re.findall(r"^(\w+/(?:\w+/)?)  ", _blocks(README, "")[-1], re.MULTILINE))
-def test_every_folder_that_the_readme_names_exists(folder: str) -> None:
+@pytest.mark.parametrize("folder", re.findall(r"^(\w+/(?:\w+/)?)  ", _blocks(USE, "")[-1], re.MULTILINE))
+def test_every_folder_that_the_docs_name_exists(folder: str) -> None:
     assert (ROOT / folder).is_dir()
 
 
@@ -102,6 +107,7 @@ def test_every_folder_that_the_readme_names_exists(folder: str) -> None:
         "docs/comparison.md",
         "docs/hands.md",
         "docs/decisions.md",
+        "docs/use.md",
     ],
 )
 def test_every_file_that_is_linked_exists(page: str) -> None:

@@ -10,6 +10,7 @@ from studio.viewer import wording
 from studio.viewer.player import SPEEDS, Player
 from studio.viewer.rewards import cursor, reward_chart, reward_legend
 from studio.viewer.take import Take
+from studio.viewer.view import Remembered
 
 Refuse = Callable[[str, viser.ClientHandle | None], None]
 _ONLY: str = "the only one recorded"
@@ -18,7 +19,15 @@ _ONLY: str = "the only one recorded"
 class PlaybackPanel:
     """The panel that plays an episode of the shown iteration, pauses it, and goes to a time in it."""
 
-    def __init__(self, gui: viser.GuiApi, player: Player, *, on_choice: Callable[[], None], on_refusal: Refuse) -> None:
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        tab: viser.GuiTabHandle,
+        player: Player,
+        *,
+        on_choice: Callable[[], None],
+        on_refusal: Refuse,
+    ) -> None:
         """Make the panel.
 
         `on_choice` is called when another episode, or other things of it, are to be shown, and `on_refusal` with a
@@ -30,8 +39,7 @@ class PlaybackPanel:
         self._recorded: dict[str, Recorded] = {}
         self._wanted: Which = "median"
         self._take: Take | None = None
-        self.panel = gui.add_panel()
-        with self.panel.add_tab("Episode", viser.Icon.PLAYER_PLAY):
+        with tab:
             self.none = gui.add_html("")
             self.episode = gui.add_dropdown(
                 "episode", (_ONLY,), hint="By return among the episodes of this evaluation; failed: a typical failure"
@@ -50,32 +58,33 @@ class PlaybackPanel:
             )  # fmt: skip
         self.episode.on_update(lambda event: self._choose(event.client) if event.client else None)
         self.play.on_click(lambda _: self.toggle_playback())
-        self.frame.on_click(lambda event: self._step(-1 if event.target.value == "◂ back" else 1))
+        self.frame.on_click(lambda event: self.step(-1 if event.target.value == "◂ back" else 1))
         self.time.on_update(lambda event: self._scrub(event.client) if event.client else None)
-        self.speed.on_update(lambda event: self._set_speed(event.client) if event.client else None)
+        self.speed.on_update(lambda event: self._set_speed(event.client))
         self.loop.on_update(lambda _: player.set_looping(self.loop.value))
         self.forces.on_update(lambda event: on_choice() if event.client else None)
-        for hotkey, frames, words in ((",", -1, "One frame back"), (".", 1, "One frame on")):
-            # viser's type lists letters and digits alone; its page takes any key by its name.
-            command = gui.add_command(words, hotkey=hotkey)  # pyright: ignore[reportArgumentType]
-            command.on_trigger(lambda _, frames=frames: self._step(frames))
 
     @property
-    def which(self) -> Which | None:
-        """Return which of the recorded episodes is to be played; None where there is only one."""
-        recorded = self._recorded.get(self.episode.value)
-        return recorded.which if recorded else None
+    def remembered(self) -> dict[str, Remembered]:
+        """The inputs that a browser finds again as it left them."""
+        return {"speed": self.speed, "loop": self.loop, "forces": self.forces}
+
+    def which(self, history: History, iteration: int) -> Which | None:
+        """Return which of the episodes of an iteration is to be played: of the kind that was chosen, where it has one.
+
+        None where a single one was recorded.
+        """
+        known: list[Which] = [recorded.which for recorded in _recorded(history, iteration)]
+        return self._wanted if self._wanted in known else next(iter(known), None)
 
     def update(self, history: History, iteration: int) -> None:
         """Offer the episodes that an iteration of a run has recorded; the kind that was chosen before stays chosen."""
-        evaluation = next((e for e in history.evaluations if e.iteration == iteration and e.episode), None)
-        known = evaluation.recorded if evaluation else []
-        self._recorded = {_words(recorded): recorded for recorded in known}
+        self._recorded = {_words(recorded): recorded for recorded in _recorded(history, iteration)}
         options = tuple(self._recorded) or (_ONLY,)
-        chosen = next((words for words, r in self._recorded.items() if r.which == self._wanted), options[0])
+        which = self.which(history, iteration)
         if tuple(self.episode.options) != options:
             self.episode.options = options
-        self.episode.value = chosen
+        self.episode.value = next((words for words, r in self._recorded.items() if r.which == which), options[0])
 
     def show_time(self, take: Take, seconds: float) -> None:
         """Show what is played and the time in it; of a body in its start posture there is nothing to play."""
@@ -100,7 +109,8 @@ class PlaybackPanel:
         self._player.play(not self._player.playing)
         self._show_state()
 
-    def _step(self, frames: int) -> None:
+    def step(self, frames: int) -> None:
+        """Go so many frames on in the episode, or back where negative, and pause there."""
         self._player.step(frames)
         self._show_state()
 
@@ -111,13 +121,13 @@ class PlaybackPanel:
 
     def _show_rewards(self, take: Take) -> None:
         terms = take.reward_terms if any(len(term) for term in take.reward_terms.values()) else {}
-        for handle in (self.rewards, self.cursor, self.terms):
-            handle.visible = bool(terms)
         if terms:
             steps = len(next(iter(terms.values())))
             share = min(1.0, steps * take.control_dt / take.duration) if take.duration else 1.0
             self.rewards.content = reward_chart(terms, share)
             self.terms.content = reward_legend(terms)
+        for handle in (self.rewards, self.cursor, self.terms):
+            handle.visible = bool(terms)
 
     def _choose(self, client: viser.ClientHandle | None) -> None:
         recorded = self._recorded.get(self.episode.value)
@@ -146,6 +156,12 @@ class PlaybackPanel:
             self._on_refusal(f"the speed must lie inside [{SPEEDS[0]:g}, {SPEEDS[1]:g}] ×, not {value:g}", client)
             return
         self._player.set_speed(value)
+
+
+def _recorded(history: History, iteration: int) -> list[Recorded]:
+    """Return what the recorded episodes of an iteration came to; nothing where there is none, or a single one."""
+    said = next((e for e in history.evaluations if e.iteration == iteration and e.episode), None)
+    return said.recorded if said else []
 
 
 def _words(recorded: Recorded) -> str:

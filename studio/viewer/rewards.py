@@ -8,7 +8,7 @@ from studio.viewer import wording
 from studio.viewer.parts import COLOURS
 
 _WIDTH, _HEIGHT = 300.0, 58
-_PLACE = "position:relative;margin:0 17% 0 30.8%"
+_PLACE = "position:relative;margin:0 67px 0 119px"
 """Style that puts the chart below the track of the time slider, so that both have one scale."""
 _AXIS = (
     "position:absolute;right:100%;top:0;bottom:0;padding-right:0.4em;font-size:0.65em;line-height:1;"

@@ -1,10 +1,10 @@
 """What is to be seen in the scene, and everything that drawing it needs, worked out once."""
 
 import contextlib
+import dataclasses
 import functools
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -18,7 +18,9 @@ from morph_core.task import Task
 from studio.robots.chooser import robot_of
 from studio.robots.parts import dress, stl_files
 from studio.viewer.figure import Figure, smooth
+from studio.viewer.ghosts import Beside, filled, standing, start_posture
 from studio.viewer.scene import is_flat, round_up
+from studio.viewer.tint import Tint, painted
 
 Corners = tuple[np.ndarray, np.ndarray]
 """Lowest (3,) and highest corner (3,) of a box, in m."""
@@ -42,7 +44,7 @@ _TINT = 0.6
 """Share of its colours that the second of two overlaid designs loses to `SECOND_COLOUR`."""
 _GAP = 0.15
 """Gap between two designs side by side, as a share of the scene's width there."""
-_GHOST_THICKNESS, _TRAIL_THICKNESS, _POPULATION_THICKNESS = 0.85, 0.42, 0.2
+_GHOST_THICKNESS = 0.85
 
 
 @dataclass(frozen=True)
@@ -63,18 +65,23 @@ class Shot:
     """The design that stands pale behind the one in front."""
     ghost_name: str = "initial"
     """Word that says which design that is."""
-    trail: tuple[tuple[float, ...], ...] = ()
-    """Earlier designs, which are shown paler still."""
     printed: bool = False
     """Whether the design in front shows its printed parts, or the collision shapes inside which they are."""
-    population: bool = False
-    """Whether to show the designs that were explored in the episode's iteration, as thin rods."""
+    tint: Tint | None = None
+    """Colours of the robot's parts; without them it has its own."""
+    beside: Beside = Beside()
+    """The designs that stand beside it; a take holds none of them, for they take long to build."""
     forces: bool = False
     """Whether to show the contact forces as arrows."""
     second: "Shot | None" = None
     """Another shot that is played at the same time: two designs to be compared."""
     overlaid: bool = False
     """Whether the second design stands where the first one does, or beside it."""
+
+    @property
+    def options(self) -> str:
+        """Return the options of the task as JSON."""
+        return json.dumps(dict(self.task_options), sort_keys=True)
 
 
 @dataclass(frozen=True)
@@ -126,8 +133,6 @@ class Take:
     scenery: Figure
     """Obstacles, table and goal."""
     ghost: Figure | None
-    trail: Figure | None
-    population: Figure | None
     goal_touched: np.ndarray
     """Frames in which the goal is touched, (F,) bool."""
     milestones: dict[str, np.ndarray]
@@ -190,7 +195,6 @@ class _Episode:
     success: np.ndarray  # (T,) bool
     milestones: dict[str, np.ndarray]  # each (T,) bool
     contact: np.ndarray  # (T, C, 3) m
-    population: np.ndarray  # (M, d)
 
 
 def make_take(shot: Shot) -> Take:
@@ -198,31 +202,28 @@ def make_take(shot: Shot) -> Take:
     task = make_task(shot.task, dict(shot.task_options))
     recorded = _recorded(shot)
     phi = np.asarray(recorded.get("phi", shot.phi), float)
-    model, alone = _models(task, phi, shot.printed)
+    model, of_robot = _models(task, phi, shot.printed)
     if recorded:
-        episode = _episode(recorded, model.nq, len(phi))
+        episode = _episode(recorded, model.nq)
     else:
-        nothing = np.zeros((0, len(phi)))
-        episode = _Episode(_start(task, phi), np.zeros(0, bool), {}, np.zeros((0, 1, 3)), nothing)
+        episode = _Episode(start_posture(task, phi), np.zeros(0, bool), {}, np.zeros((0, 1, 3)))
     factor = max(1, round(task.control_dt * FRAMES_PER_SECOND))
-    frames = smooth(model, _fill(model, episode.qpos), factor)
-    robot, objects, scenery = _split(Figure.from_model(model, frames), alone)
+    frames = smooth(model, filled(model, episode.qpos), factor)
+    robot, objects, scenery = _split(Figure.from_model(model, frames), of_robot)
+    if shot.tint:
+        robot = dataclasses.replace(robot, colours=painted(robot, shot.tint))
     contact = _moving_contacts(episode.contact, factor, len(frames))
-    options = json.dumps(dict(shot.task_options), sort_keys=True)
-    box, floor = _frame(shot.task, options)
+    box, floor = _frame(shot.task, shot.options)
     second = _second(shot, box) if shot.second else None
     if second:
         box, floor = _both(box, second.away), _both(floor, second.away)
     arrows = _arrows(task, phi, recorded, _longest_side(box), factor) if shot.forces and "qvel" in recorded else None
-    population = episode.population if shot.population else ()
     return Take(
         shot=shot,
         robot=robot,
         objects=objects,
         scenery=scenery,
-        ghost=_ghost(shot.task, options, shot.ghost) if shot.ghost else None,
-        trail=_standing(task, shot.trail, _TRAIL_THICKNESS),
-        population=_standing(task, population, _POPULATION_THICKNESS),
+        ghost=standing(shot.task, shot.options, shot.ghost).thinned(_GHOST_THICKNESS) if shot.ghost else None,
         goal_touched=_from_their_end(episode.success, factor, len(frames)),
         milestones={name: _from_their_end(m, factor, len(frames)) for name, m in episode.milestones.items()},
         contact=contact,
@@ -298,28 +299,33 @@ def _recorded(shot: Shot) -> dict[str, np.ndarray]:
     return read_episode(*shot.episode, shot.which) if shot.episode else {}
 
 
-def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, mujoco.MjModel]:
-    """Return the scene, and the robot alone; a robot that can't be assembled shows its collision shapes."""
+def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, set[str]]:
+    """Return the scene, and the names of the robot's bodies and geoms in it; a robot that can't be assembled shows its
+    collision shapes."""
     specs, robot = [task.scene(phi), task.spec(phi)], robot_of(task)
     if printed and robot.printed:
         with contextlib.suppress(ValueError):
             parts = robot.parts(phi)
             files = stl_files(parts)
             specs = [dress(spec, parts, files) for spec in specs]
-    scene, alone = (spec.compile() for spec in specs)
-    return scene, alone
+    scene, alone = specs
+    return scene.compile(), _names(alone)
 
 
-def _split(whole: Figure, alone: mujoco.MjModel) -> tuple[Figure, Figure, Figure]:
-    """Return the robot, whose model is `alone`; what else moves; and what never moves."""
-    of_robot = {alone.body(i).name for i in range(1, alone.nbody)} | {alone.geom(i).name for i in range(alone.ngeom)}
+def _names(robot: mujoco.MjSpec) -> set[str]:
+    """Return the names of a robot's bodies and geoms; to compile it for them would take as long as the scene does."""
+    return {body.name for body in robot.bodies} - {"world"} | {geom.name for geom in robot.geoms} - {""}
+
+
+def _split(whole: Figure, of_robot: set[str]) -> tuple[Figure, Figure, Figure]:
+    """Return the robot, whose bodies and geoms have these names; what else moves; and what never moves."""
     fixed = [i for i, name in enumerate(whole.names) if name.startswith(_FIXED)]
     robot = [i for i, name in enumerate(whole.names) if name in of_robot and i not in fixed]
     objects = [i for i in range(len(whole)) if i not in fixed and i not in robot]
     return whole.take(robot), whole.take(objects), whole.take(fixed)
 
 
-def _episode(recorded: dict[str, np.ndarray], nq: int, parameters: int) -> _Episode:
+def _episode(recorded: dict[str, np.ndarray], nq: int) -> _Episode:
     """Return a recorded episode, whatever else its file holds; ValueError if its arrays don't fit."""
     qpos = np.atleast_2d(np.asarray(recorded.get("qpos", np.zeros((0, nq))), float))
     steps = len(qpos) - 1
@@ -336,36 +342,7 @@ def _episode(recorded: dict[str, np.ndarray], nq: int, parameters: int) -> _Epis
     }
     if any(len(array) != steps for array in (success, contact, *milestones.values())):
         raise ValueError("the recorded episode's success, milestones and contact don't fit its postures")
-    population = np.asarray(recorded.get("population", np.zeros((0, parameters))), float).reshape(-1, parameters)
-    return _Episode(qpos, success, milestones, contact, population[np.isfinite(population).all(1)])
-
-
-def _start(task: Task, phi: np.ndarray) -> np.ndarray:
-    """Return qpos (1, nq) of a start posture."""
-    return task.qpos(task.reset(task.hw_phy(phi), 1, np.random.default_rng(0)))
-
-
-def _standing(task: Task, designs: Sequence[Sequence[float]] | np.ndarray, thickness: float = 1.0) -> Figure | None:
-    """Return the robot alone with each of the designs, in its start posture; None without any."""
-    figures = []
-    for phi in designs:
-        model = task.spec(np.array(phi)).compile()
-        figures.append(Figure.from_model(model, _fill(model, _start(task, np.array(phi)))))
-    return Figure.joined(figures).thinned(thickness) if figures else None
-
-
-@functools.lru_cache(maxsize=16)
-def _ghost(task: str, options: str, phi: tuple[float, ...]) -> Figure | None:
-    """Return the design that stands pale behind another one; it stays while that one is dragged."""
-    return _standing(make_task(task, json.loads(options)), [phi], _GHOST_THICKNESS)
-
-
-def _fill(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """Return qpos (T, nq) for a model with more (objects) or fewer joints (the robot alone) than were recorded."""
-    filled = np.tile(model.qpos0, (len(qpos), 1))
-    known = min(model.nq, qpos.shape[1])
-    filled[:, :known] = qpos[:, :known]
-    return filled
+    return _Episode(qpos, success, milestones, contact)
 
 
 def _from_their_end(reached: np.ndarray, factor: int, frames: int) -> np.ndarray:
@@ -408,8 +385,8 @@ def _frame(name: str, options: str) -> tuple[Corners, Corners]:
     task = make_task(name, json.loads(options))
     phi = task.design_space.initial
     model = task.scene(phi).compile()
-    whole = Figure.from_model(model, _fill(model, _start(task, phi)))
-    robot, objects, scenery = _split(whole, task.spec(phi).compile())
+    whole = Figure.from_model(model, filled(model, start_posture(task, phi)))
+    robot, objects, scenery = _split(whole, _names(task.spec(phi)))
     tables = [i for i, name in enumerate(scenery.names) if name.startswith("table")]
     table, around = scenery.take(tables), scenery.take([i for i in range(len(scenery)) if i not in tables])
     boxes = [figure.extent() for figure in (robot, objects, around) if len(figure)]

@@ -77,7 +77,7 @@ def test_each_recorded_episode_is_offered_with_what_it_came_to_and_played(page: 
             recorded[which].episode_return  # pyright: ignore[reportArgumentType]
         )
     page.show(folder)
-    assert page.viewer.playback.which == "best"  # a choice stays
+    assert page.take().shot.which == "best"  # a choice stays
 
 
 def test_an_episode_of_an_earlier_version_is_the_only_one(page: Page, tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_a_choice_that_is_none_is_refused(page: Page, folder: RunFolder) -> None
     page.viewer.playback.episode.value = "luckiest"
     page.viewer.playback._choose(None)
     assert "there is no such episode; choose from: median" in page.viewer.notice.content
-    assert page.viewer.playback.which == "median"
+    page.take(lambda t: t.shot.which == "median")
 
 
 def test_frames_are_stepped_to_and_stay(page: Page, folder: RunFolder) -> None:
@@ -105,15 +105,15 @@ def test_frames_are_stepped_to_and_stay(page: Page, folder: RunFolder) -> None:
     playback, player = page.viewer.playback, page.viewer.player
     player.seek(0.5)
     assert eventually(lambda: player._robot._instant == 15)
-    playback._step(1)
+    playback.step(1)
     assert eventually(lambda: player._robot._instant == 16)
     assert (player.playing, playback.play.label) == (False, "Play")
-    playback._step(-1)
-    playback._step(-1)
+    playback.step(-1)
+    playback.step(-1)
     assert eventually(lambda: player._robot._instant == 14)
     assert eventually(lambda: playback.time.value == pytest.approx(14 / FRAMES_PER_SECOND, abs=0.005))
     for _ in range(20):
-        playback._step(-1)
+        playback.step(-1)
     assert eventually(lambda: player._robot._instant == 0)
     player.step(10**6)
     take = page.take()
@@ -124,7 +124,7 @@ def test_the_rewards_stand_under_the_time_with_a_cursor(page: Page, folder: RunF
     page.show(folder)
     take = page.take(lambda t: t.shot.which == "median")
     playback = page.viewer.playback
-    assert eventually(lambda: playback.rewards.visible)
+    assert eventually(lambda: playback.terms.visible)
     assert 'aria-label="terms of the reward over the episode"' in playback.rewards.content
     for name in take.reward_terms:
         assert name.replace("_", " ") in playback.terms.content

@@ -37,9 +37,7 @@ from morph_core.protocol import (
 )
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, write_episode
 from studio.new_run import StartRun, prepare_run
-from studio.viewer.charts import MOST_POINTS, decimate
 from studio.viewer.take import Shot, make_take
-from studio.viewer.viewer import NEW_RUN
 
 
 @pytest.fixture
@@ -189,9 +187,10 @@ def test_charts_are_never_given_empty_arrays_and_wait_for_their_first_value(page
             assert len(chart.data[0]) >= 2
     assert "Success on Hw-Phy" not in page.viewer.traces.charts
     links = page.viewer.traces.charts["Design φ"]
-    assert eventually(lambda: page.show(folder) and links.data[1].tolist() == [3, 2, 2, 2])  # charts rest in between
+    assert eventually(lambda: page.show(folder) and links.data[1].tolist() == [3, 2, 2, 2, 2, 2])  # charts rest between
     cosines = page.viewer.traces.charts["Agreement of g_task and g_hw"]
-    np.testing.assert_allclose(cosines.data, [[2, 3], [-0.5, 0.5], [0.75, 0.25]])
+    marked = [[2, 3, 3, 3], [-0.5, 0.5, 0.5, 0.5], [0.75, 0.25, 0.25, 0.25], [np.nan, -1.05, 1.05, np.nan]]
+    np.testing.assert_allclose(cosines.data, marked)
     assert "Agreement by design parameter" not in page.viewer.traces.charts  # not defined so far
     append(folder, progress(4, cosine_by_parameter=[-0.5, None, 0.5, 1.0, -1.0]), progress(5))
     assert eventually(lambda: page.show(folder) and "Agreement by design parameter" in page.viewer.traces.charts)
@@ -211,17 +210,6 @@ def test_charts_go_when_a_run_without_their_values_is_opened(page: Page, folder:
     page.show(folder)
     page.viewer.select(None)
     assert not any(chart.visible for chart in page.viewer.traces.charts.values())
-
-
-def test_long_runs_are_decimated_to_the_last_value_of_each_stretch() -> None:
-    x = np.arange(1.0, 5001.0)
-    sparse = np.where(x % 5 == 0, x, np.nan)
-    shown, dense, every_fifth = decimate((x, x * 2, sparse), MOST_POINTS)
-    assert len(shown) == MOST_POINTS
-    assert shown[-1] == 5000
-    np.testing.assert_array_equal(dense, 2 * shown)
-    assert np.nanmax(every_fifth) == 5000
-    assert np.isfinite(every_fifth).sum() == 1000
 
 
 def test_a_failed_run_says_why_in_html_that_harms_nobody(page: Page, folder: RunFolder) -> None:
@@ -251,27 +239,23 @@ def test_a_rollout_that_is_damaged_is_reported_and_the_next_design_is_shown(page
 # --- choosing ---
 
 
-def test_what_the_studio_suggests_is_opened_once_and_a_choice_then_stays(
-    page: Page, folder: RunFolder, wire: Callable[[viser.GuiInputHandle, object], None]
-) -> None:
+def test_what_the_studio_suggests_is_opened_once_and_a_choice_then_stays(page: Page, folder: RunFolder) -> None:
     page.show(folder)
     assert page.viewer.selected == NAME
-    wire(page.viewer.chooser, NEW_RUN)
-    assert eventually(lambda: page.viewer.selected is None)
+    page.viewer.open(None)
     page.show(folder)
     assert page.viewer.selected is None
     assert page.viewer.start.folder.visible
-    wire(page.viewer.chooser, f"finished · {NAME}")
-    assert eventually(lambda: page.viewer.selected == NAME)
-
-
-def test_an_unknown_run_from_the_wire_changes_nothing(
-    page: Page, folder: RunFolder, wire: Callable[[viser.GuiInputHandle, object], None]
-) -> None:
-    page.show(folder)
-    wire(page.viewer.chooser, "finished · ../../etc")
-    assert eventually(lambda: "unknown run" in page.viewer.notice.content)
+    page.viewer.open(NAME)
     assert page.viewer.selected == NAME
+
+
+def test_an_unknown_run_is_said_to_be_unknown(page: Page, folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    page.show(folder)
+    monkeypatch.setattr("studio.viewer.viewer._START_PATIENCE", -1.0)
+    page.viewer.open("../../<etc>")
+    assert "../../&lt;etc&gt; has not shown up" in page.viewer.run.failure.content
+    assert not page.viewer.run.pause.visible
 
 
 # --- steering ---
@@ -538,7 +522,7 @@ def test_an_iteration_without_an_episode_stands_and_says_so(page: Page, episode:
     page.show(episode)
     page.viewer.timeline.follow.value = False
     page.viewer.timeline.iteration.value = 1
-    page.viewer.timeline.trail.value = True
+    page.viewer.looks.trail.value = True
     page.show(episode)
     take = page.take(lambda take: take.shot.phi == (2.9,) * 5)
     assert take.frames == 1
