@@ -11,7 +11,6 @@ import sys
 import threading
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -26,10 +25,11 @@ from morph_core.beginning import begin
 from morph_core.catalogue import make_task, read_method
 from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.edits import AnyEdit, edited
-from morph_core.episodes import Score, evaluate, record_episode
+from morph_core.episodes import Score, evaluate, outcomes, record_episodes
 from morph_core.history import History, InForce
 from morph_core.inside import NotPlainError, open_plain
 from morph_core.method import Method
+from morph_core.pace import Pace
 from morph_core.processor import processor
 from morph_core.protocol import (
     Acknowledged,
@@ -53,8 +53,8 @@ HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
 PAUSED = "it keeps its core, on a cluster too: Resume goes on, Stop saves and frees the core"
-SHOWN_DESIGNS = 12
-"""Largest number of explored designs that are kept with an evaluation."""
+SHOWN_DESIGNS = 64
+"""Largest number of explored designs, and of designs that CMA-ES tried, that are kept with an evaluation."""
 _SAVED_AFTER = AnyEdit | protocol.Checkpoint
 """The commands that need a checkpoint before they are acknowledged; the others change nothing that one holds."""
 
@@ -70,7 +70,7 @@ class Trainer:
         self._status: Status = "starting"
         self._stage, self._message = "loading", ""
         self._stopping = self._step = False
-        self._pace: deque[tuple[float, int]] = deque(maxlen=20)  # s and environment steps of the last iterations
+        self._pace = Pace()
         self._iteration = self._env_steps = 0
         self._cpu_start = time.process_time()  # s, when this run's CPU clock stood at zero
         history = History(folder)
@@ -104,7 +104,7 @@ class Trainer:
             began, steps = time.monotonic(), state.env_steps
             for progress in method.iterations(task, state):
                 self._take_in(task, method, state, progress)
-                self._pace.append((time.monotonic() - began, state.env_steps - steps))
+                self._pace.took(time.monotonic() - began, state.env_steps - steps)
                 self._between_iterations(state)
                 if self._stopping or self._is_done(state):
                     break
@@ -131,13 +131,11 @@ class Trainer:
     def beat(self) -> None:
         """Rewrite the heartbeat; where the disk does not take this one, it will take a later one."""
         remaining = self._remaining_iterations()
-        seconds = [seconds for seconds, _ in self._pace]
-        eta = float(np.mean(seconds)) * remaining if seconds else None
         beat = Heartbeat(
             host=platform.node(), pid=os.getpid(), process_started=self._process_started,
             time=time.time(), status=self._status, stage=self._stage, message=self._message,
             iteration=self._iteration, iterations=self._iteration + remaining,
-            env_steps=self._env_steps, eta_seconds=eta,
+            env_steps=self._env_steps, eta_seconds=self._pace.left(remaining),
         )  # fmt: skip
         if self._heartbeat is not None:
             with contextlib.suppress(OSError):
@@ -165,7 +163,7 @@ class Trainer:
         remaining = max(0, self._last - self._iteration)
         if self._budget is None:
             return remaining
-        steps = np.mean([steps for _, steps in self._pace]) if self._pace else self._longest_iteration
+        steps = self._pace.env_steps or self._longest_iteration
         return min(remaining, math.ceil(max(0, self._budget - self._env_steps) / max(1.0, steps)))
 
     # --- one iteration ---
@@ -238,11 +236,13 @@ class Trainer:
         # Its own random numbers, so that what is learnt does not depend on how often it is evaluated.
         rng = np.random.default_rng([self._record.seed, state.iteration])
         sampled, mean, rollout = self._score(task, state, method.evaluation.episodes, rng)
-        arrays = record_episode(task, rollout, state.phi)
+        arrays = record_episodes(task, rollout, state.phi)
         if state.explored is not None:
             arrays["population"] = state.explored[:SHOWN_DESIGNS]
+        if state.generation is not None:
+            arrays["generation"] = state.generation[:SHOWN_DESIGNS]
         name = self._persist(lambda: write_episode(self._folder, state.iteration, arrays))
-        self._tell(state, sampled, mean, method.evaluation.episodes, episode=name)
+        self._tell(state, sampled, mean, method.evaluation.episodes, episode=name, recorded=outcomes(rollout))
 
     def _outcome(self, task: Task, method: Method, state: State) -> State:
         """Return the state whose design and policy the method has come to, which is not always the last one."""
@@ -272,7 +272,8 @@ class Trainer:
                 iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
                 sampled_success=sampled.success, sampled_return=sampled.episode_return,
                 deterministic_success=mean.success, deterministic_return=mean.episode_return,
-                milestones=sampled.milestones, diverged=sampled.diverged,
+                milestones=sampled.milestones, diverged=sampled.diverged, reward_terms=sampled.reward_terms,
+                return_interval=sampled.return_interval,
                 cpu_seconds=self._cpu_seconds, episodes=episodes, **said,
             )
         )  # fmt: skip

@@ -4,7 +4,7 @@ import contextlib
 import shutil
 import subprocess
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import msgspec
@@ -21,7 +21,7 @@ from studio.commands import check_command
 from studio.inquest import Inquest
 from studio.new_run import StartRun, prepare_run
 from studio.shelf import trash
-from studio.shelf.marks import FILE, Marks, MarksChange, changed, read_marks, write_marks
+from studio.shelf.marks import FILE, Marks, MarksChange, changed, read_marks, with_star, write_marks
 from studio.shelf.outcome import Outcome, evaluations_of, landmarks, outcome_of
 from studio.shelf.trash import Trashed
 from studio.study.local import CANCELLED
@@ -30,7 +30,7 @@ from studio.study.slurm_queue import SlurmError
 from studio.trainers import spawn_trainer
 
 WATCHED = 20
-"""Number of the newest runs that the viewer is offered, beside those that run and the one it shows."""
+"""Number of the newest runs that browsers are offered, beside those that run and those they show."""
 KEPT = 40
 """Largest number of runs that are kept in memory."""
 LONGEST_REASON = 500
@@ -50,7 +50,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     reason: str = ""
     """Words on why the run is in this state."""
     current: bool = False
-    """Whether the viewer shows this run."""
+    """Whether a browser that has chosen no run opens this one."""
     task: str | None = None
     method: str | None = None
     seed: int | None = None
@@ -84,8 +84,8 @@ class Runs:
         """Take the runs of `folder`. New ones are started by `launcher`, by default as processes of this machine."""
         self.folder = folder
         self.shown: str | None = None
-        """The run on screen; None while the start panel is."""
-        self._turn_to: int | None = None
+        """The run that a browser opens which has chosen none; None for the start panel."""
+        self._asked: tuple[str, int | None] | None = None
         self._spawn = spawn
         self._launcher = launcher
         self._slurm = launcher or Slurm()
@@ -196,10 +196,10 @@ class Runs:
                     self._parents[name] = RunFolder(self.folder / name).record().parent
         return {name: self._parents.get(name) for name in names}
 
-    def watched(self) -> dict[str, History]:
-        """Return the runs the viewer may show, newest first: recent, running, and the current one."""
+    def watched(self, selected: Collection[str] = ()) -> dict[str, History]:
+        """Return the runs that browsers may show, newest first: recent, running, current, and what they `selected`."""
         names = self.ids()
-        wanted = {*names[:WATCHED], *self._inquest.children, self.shown}
+        wanted = {*names[:WATCHED], *self._inquest.children, self.shown, *selected}
         histories = {}
         for name in names:
             if name in wanted:
@@ -208,23 +208,23 @@ class Runs:
         return histories
 
     def show(self, run_id: str, iteration: int | None = None) -> None:
-        """Let the viewer show this run, and the design of an iteration; RunFolderError if there is no such one."""
+        """Let every browser show this run, and the design of an iteration; RunFolderError if there is no such one."""
         history = self.get(run_id)
         if iteration is not None:
             history.design(str(iteration))
-        self.shown, self._turn_to = run_id, iteration
+        self.shown, self._asked = run_id, (run_id, iteration)
 
-    def take_iteration(self) -> int | None:
-        """Return the iteration that the viewer is to turn to, once; None if it is to turn nowhere."""
-        wanted, self._turn_to = self._turn_to, None
-        return wanted
+    def take_request(self) -> tuple[str, int | None] | None:
+        """Return, once, the run and iteration that every browser is to show; None if they stay where they are."""
+        asked, self._asked = self._asked, None
+        return asked
 
     def show_newest(self) -> None:
-        """Let the viewer show the newest run that can be read, if there is one."""
+        """Let browsers that have chosen no run open the newest one that can be read, if there is one."""
         for run_id in self.ids():
             with contextlib.suppress(RunFolderError):
-                return self.show(run_id)
-        return None
+                self.shown = self.get(run_id).folder.id
+                return
 
     # --- keeping in order ---
 
@@ -233,6 +233,18 @@ class Runs:
         folder = find_run(self.folder, run_id)
         with self._turn(run_id):
             marks = changed(read_marks(folder.path), change)
+            write_marks(folder.path, marks)
+        return marks
+
+    def star(self, run_id: str, design: str, starred: bool) -> Marks:
+        """Star a design of a run, or take its star away; RunFolderError if there is no such design.
+
+        Raise ValueError, nothing changed, if too many are starred.
+        """
+        iteration, _ = self.get(run_id).design(design)
+        folder = find_run(self.folder, run_id)
+        with self._lock:
+            marks = with_star(read_marks(folder.path), iteration, starred)
             write_marks(folder.path, marks)
         return marks
 

@@ -10,11 +10,13 @@ from fastapi import Request, Response
 from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Progress
 from studio.fields import Field
 from studio.log import LogEntry
+from studio.moments import Moment
 from studio.new_run import Number, StartRun
 from studio.runs import Row, Summary
 from studio.shelf.marks import Marks, MarksChange
 from studio.shelf.traces import Overlay
 from studio.shelf.trash import Trashed
+from studio.viewer.view import Seen, View
 from studio.what_if import SweepPoint, WhatIf, Wish
 
 MAX_BODY = 1 << 20
@@ -201,8 +203,9 @@ def reply(message: object, status: int = 200) -> Response:
 
 
 _KINDS = (
-    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Metrics, Designs, Checked, Health, Refusal,
-    AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
+    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Moment, Metrics, Designs, Checked, Health,
+    Refusal, AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
+    View, Seen,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

@@ -46,7 +46,7 @@ class TrainArguments(RunsArguments):
     resume: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
     """Run to go on with from its newest checkpoint: its name, or the path of its folder."""
     from_start: bool = False
-    """Whether a run that --resume finds without a checkpoint that can be read begins anew, and gives up what it learnt."""
+    """Whether a run that --resume finds without a readable checkpoint begins anew, which gives up what it learnt."""
     branch: Annotated[str | None, tyro.conf.arg(metavar="RUN[@ITERATION]")] = None
     """Run to branch from, at an iteration or at its last one: a new run beside it begins with the nearest checkpoint up
     to there. It is like its parent in all that no flag changes; one with nothing changed goes on as its parent did."""

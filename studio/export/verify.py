@@ -117,12 +117,11 @@ def _added(reference: Reading, reading: Reading) -> dict[str, float]:
     What stands fixed in the world is a link of its own for readers of URDF alone: its shapes are not compared here.
     """
     known = {**reference.poses(dict.fromkeys(reference.limits, 0.0)), **reference.masses, **reference.extents}
-    bodies = reading.masses.keys() - known.keys()
     joints = reading.limits.keys() - reference.limits.keys()
     shapes = (reading.extents.keys() & known.keys()) - reference.extents.keys()
-    weights = {name: reading.masses[name] for name in (reading.masses.keys() & known.keys()) - reference.masses.keys()}
-    heavy = {name: mass for name, mass in weights.items() if mass > FRAME_MASS}
-    return dict.fromkeys(bodies | joints | shapes, math.inf) | heavy
+    added = {name: reading.masses[name] for name in reading.masses.keys() - reference.masses.keys()}
+    heavy = {name: mass for name, mass in added.items() if not mass <= FRAME_MASS}
+    return dict.fromkeys(joints | shapes, math.inf) | heavy
 
 
 def postures(limits: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:
