@@ -157,7 +157,7 @@ function describe(run) {
   const parts = [];
   if (run.stage) parts.push(run.stage);
   if (run.iterations) parts.push(`iteration ${run.iteration} of ${run.iterations}`);
-  if (run.eta_seconds !== null) parts.push(`${duration(run.eta_seconds)} left`);
+  if (run.eta_seconds !== null && run.status === "running") parts.push(`${duration(run.eta_seconds)} left`);
   if (run.success !== null) parts.push(`success ${percent(run.success)}`);
   return parts.join("  ·  ");
 }
