@@ -332,7 +332,7 @@ def test_step_stop_and_hotkeys_send_their_commands(page: Page, folder: RunFolder
     page.viewer.run.toggle(None)
     assert [command for _, command in page.commands] == [StepIteration(), Stop(), Pause()]
     hotkeys = {command.hotkey for command in page.server.gui._command_handle_from_uuid.values()}
-    assert {"P", "K", "F", "space"} <= hotkeys
+    assert {"P", "K", "L", "space"} <= hotkeys
 
 
 def test_steering_sends_only_what_was_changed(page: Page, folder: RunFolder) -> None:
