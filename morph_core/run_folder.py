@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 
 from morph_core import durable, format_1, protocol
-from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Order, RunRecord, Status
+from morph_core.protocol import EPISODES, AnyCommand, AnyEvent, Heartbeat, Order, RunRecord, Status, Which
 
 HEARTBEAT_BYTES = 4096
 """The heartbeat is rewritten in place at this size, so that it needs no new block on a full disk."""
@@ -37,6 +37,8 @@ SAID_ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
 """Statuses by which a trainer says that it has ended."""
 LONGEST_SENDER = 200
 """Largest number of characters that are kept of who sent a command."""
+_CHOSEN = "recorded"
+"""Array of an episode file that holds the numbers of its episodes, in the order of EPISODES; -1 for none."""
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -363,7 +365,7 @@ class HeartbeatFile:
 
 
 def write_episode(folder: RunFolder, iteration: int, arrays: dict[str, np.ndarray]) -> str:
-    """Write one recorded episode; return its name relative to the run folder."""
+    """Write the recorded episodes of an evaluation; return the file's name relative to the run folder."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
     folder.episodes.mkdir(exist_ok=True)
@@ -371,17 +373,42 @@ def write_episode(folder: RunFolder, iteration: int, arrays: dict[str, np.ndarra
     return f"{folder.episodes.name}/{iteration:06d}.npz"
 
 
-def read_episode(folder: RunFolder, iteration: int) -> dict[str, np.ndarray]:
-    """Return the arrays of a recorded episode; raise RunFolderError if there is no such episode or it is damaged."""
+def read_episode(folder: RunFolder, iteration: int, which: Which | None = None) -> dict[str, np.ndarray]:
+    """Return the arrays of a recorded episode: of the median one, or of the only one, where `which` is None.
+
+    Raise RunFolderError if there is no such episode or it is damaged.
+    """
     try:
-        return episode_arrays(folder.episode(iteration).read_bytes())
+        return episode_arrays(folder.episode(iteration).read_bytes(), which)
     except FileNotFoundError:
         raise RunFolderError(f"{folder.id} has no episode of iteration {iteration}") from None
+    except RunFolderError as error:
+        raise RunFolderError(f"iteration {iteration} of {folder.id} {error}") from None
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise RunFolderError(f"episode {iteration} of {folder.id} can't be read: {error}") from error
 
 
-def episode_arrays(content: bytes) -> dict[str, np.ndarray]:
-    """Return the arrays of an episode's npz file. Nothing is unpickled."""
+def episode_arrays(content: bytes, which: Which | None = None) -> dict[str, np.ndarray]:
+    """Return the arrays of one episode of an npz file, the median one by default. Nothing is unpickled.
+
+    Raise RunFolderError with the choices if the file does not hold this one.
+    """
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+        chosen = _chosen(file[_CHOSEN]) if _CHOSEN in file.files else {}
+        if which is not None and which not in chosen:
+            raise RunFolderError(f"has no {which} episode; {_choices(chosen)}")
+        own = f"{chosen[which]}/" if which else ""
+        names = {name: name for name in file.files if name != _CHOSEN and not name.partition("/")[0].isdecimal()}
+        if own:
+            names |= {name.removeprefix(own): name for name in file.files if name.startswith(own)}
+        return {name: file[stored] for name, stored in names.items()}
+
+
+def _chosen(numbers: np.ndarray) -> dict[Which, int]:
+    """Return which episodes a file holds, and under which number."""
+    found = zip(EPISODES, numbers.astype(int).reshape(-1).tolist(), strict=False)
+    return {which: number for which, number in found if number >= 0}
+
+
+def _choices(chosen: Mapping[Which, int]) -> str:
+    return f"choose from: {', '.join(chosen)}" if chosen else "a single one was recorded, which has no name"

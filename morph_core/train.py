@@ -25,7 +25,7 @@ from morph_core.beginning import begin
 from morph_core.catalogue import make_task, read_method
 from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.edits import AnyEdit, edited
-from morph_core.episodes import Score, evaluate, record_episode
+from morph_core.episodes import Score, evaluate, outcomes, record_episodes
 from morph_core.history import History, InForce
 from morph_core.method import Method
 from morph_core.pace import Pace
@@ -210,13 +210,13 @@ class Trainer:
         # Its own random numbers, so that what is learnt does not depend on how often it is evaluated.
         rng = np.random.default_rng([self._record.seed, state.iteration])
         sampled, mean, rollout = self._score(task, state, method.evaluation.episodes, rng)
-        arrays = record_episode(task, rollout, state.phi)
+        arrays = record_episodes(task, rollout, state.phi)
         if state.explored is not None:
             arrays["population"] = state.explored[:SHOWN_DESIGNS]
         if state.generation is not None:
             arrays["generation"] = state.generation[:SHOWN_DESIGNS]
         name = self._persist(lambda: write_episode(self._folder, state.iteration, arrays))
-        self._tell(state, sampled, mean, method.evaluation.episodes, episode=name)
+        self._tell(state, sampled, mean, method.evaluation.episodes, episode=name, recorded=outcomes(rollout))
 
     def _outcome(self, task: Task, method: Method, state: State) -> State:
         """Return the state whose design and policy the method has come to, which is not always the last one."""
@@ -246,7 +246,8 @@ class Trainer:
                 iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
                 sampled_success=sampled.success, sampled_return=sampled.episode_return,
                 deterministic_success=mean.success, deterministic_return=mean.episode_return,
-                milestones=sampled.milestones, diverged=sampled.diverged,
+                milestones=sampled.milestones, diverged=sampled.diverged, reward_terms=sampled.reward_terms,
+                return_interval=sampled.return_interval,
                 cpu_seconds=self._cpu_seconds, episodes=episodes, **said,
             )
         )  # fmt: skip

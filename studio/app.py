@@ -26,6 +26,7 @@ from morph_core.history import History
 from morph_core.protocol import Status
 from morph_core.run_folder import RunFolderError
 from studio.album import Album
+from studio.api.compare import compare_router
 from studio.api.designs import designs_router, imports_router
 from studio.api.desks import desks_router
 from studio.api.docs import docs_router
@@ -186,6 +187,7 @@ def create_app(
         runs_router(watched),
         designs_router(watched, build_bundle),
         imports_router(watched),
+        compare_router(watched),
         events_router(watched, stopping),
         what_if_router(watched, what_ifs),
         study_router(report),

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import viser
 from viser._messages import HotkeyKey
 
+_BY_CHARACTER = (",", ".")
+"""Keys that viser's type does not list, though its page takes any key by the character that it types."""
 Do = Callable[[viser.ClientHandle | None], object]
 
 
@@ -24,7 +26,7 @@ def add_deeds(gui: viser.GuiApi, deeds: Sequence[Deed]) -> None:
     """Register deeds; a second key of a deed has a second line in the palette, as viser knows one key for each."""
     for deed in deeds:
         for key in deed.keys or (None,):
-            assert key is None or key in typing.get_args(HotkeyKey), key
+            assert key is None or key in (*typing.get_args(HotkeyKey), *_BY_CHARACTER), key
             command = gui.add_command(deed.label, hotkey=key, icon=deed.icon)  # pyright: ignore[reportArgumentType]
             command.on_trigger(_on_trigger(deed.do))
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from studio.viewer import wording
 from studio.viewer.figure import Figure
-from studio.viewer.scene import CONTACT_COLOUR, GHOST_COLOURS
-from studio.viewer.take import GOAL_LIT, LIT_BY, WALL_LIT, Take
+from studio.viewer.scene import CONTACT_COLOUR, FORCE_COLOUR, GHOST_COLOURS
+from studio.viewer.take import GOAL_LIT, LIT_BY, SECOND_COLOUR, WALL_LIT, Take
 from studio.viewer.tint import HIGH, LOW, MIDDLE, Tint
 
 Colour = tuple[int, int, int]
@@ -38,6 +38,10 @@ def _entries(take: Take) -> Iterator[tuple[Colour, str]]:
         yield CONTACT_COLOUR, "contact"
     if take.touched.any():
         yield WALL_LIT, "wall hit"
+    if take.forces:
+        yield FORCE_COLOUR, f"contact force, 1 cm is {take.forces.newtons_per_cm:g} N"
+    if take.second and take.shot.overlaid:
+        yield SECOND_COLOUR, "B, tinted"
     if take.ghost:
         yield GHOST_COLOURS["ghost"], f"{take.shot.ghost_name} design"
     beside = take.shot.beside

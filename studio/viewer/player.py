@@ -15,17 +15,20 @@ from studio.viewer.newest import Newest
 from studio.viewer.scene import (
     CONTACT_COLOUR,
     FIELD_OF_VIEW,
+    FORCE_COLOUR,
     GHOST_COLOURS,
     NARROW,
     USUAL_ASPECT,
+    Arrows,
     Host,
     Layer,
+    Letters,
     Ruler,
     camera,
     clients_of,
     initial_camera_of,
 )
-from studio.viewer.take import FRAMES_PER_SECOND, Shot, Take, make_take
+from studio.viewer.take import FRAMES_PER_SECOND, Second, Shot, Take, make_take
 
 SPEEDS = (0.1, 4.0)
 _HOLD = 1.0
@@ -34,6 +37,8 @@ _IDLE = 0.25
 """Seconds between two looks for a browser while nobody watches."""
 _CONTACT_RADIUS = 0.012
 """Radius of a contact marker, as a share of the scene's longest side."""
+_ARROW_RADIUS = 0.006
+"""Radius of a force's arrow, as a share of the scene's longest side."""
 
 log = logging.getLogger(__name__)
 
@@ -63,6 +68,11 @@ class Player:
         self._crowd: Crowd | None = None
         self._crowd_of: tuple[str, str, Beside] | None = None
         self._contact = Layer(host, "contact")
+        self._forces = Arrows(host, "forces", FORCE_COLOUR)
+        self._second_robot = Layer(host, "second_robot", opacity=0.75)
+        self._second_objects = Layer(host, "second_objects", opacity=0.75)
+        self._second_scenery = Layer(host, "second_scenery")
+        self._letters = Letters(host, "letters", ("A", "B"))
         self._ruler = Ruler(host)
         self._initial_camera = initial_camera_of(host)
         self._change = threading.Condition()
@@ -70,7 +80,7 @@ class Player:
         self._take: Take | None = None
         self._built: Shot | None = None
         self._done: Shot | None = None
-        self._framed: tuple[str, tuple[tuple[str, object], ...]] | None = None
+        self._framed: tuple[object, ...] | None = None
         self._painted: dict[Layer, np.ndarray] = {}
         self._marked: bytes | None = None
         self._time = 0.0
@@ -93,7 +103,8 @@ class Player:
     def node_names(self) -> list[str]:
         """Return the sorted names of the nodes that the scene has."""
         ghosts = (self._ghost, *self._beside.values())
-        layers = (self._robot, self._objects, self._scenery, *ghosts, self._contact)
+        second = (self._second_robot, self._second_objects, self._second_scenery)
+        layers = (self._robot, self._objects, self._scenery, *ghosts, self._contact, *second)
         return sorted(name for layer in layers for name in layer.node_names)
 
     @property
@@ -126,6 +137,14 @@ class Player:
         with self._change:
             self._time, self._sought = max(0.0, seconds), True
             self._change.notify_all()
+
+    def step(self, frames: int) -> None:
+        """Go so many frames on, or back where negative, and stay there."""
+        with self._change:
+            if self._take:
+                frame = min(max(self._instant() + frames, 0), self._take.last_frame)
+                self._playing, self._time, self._sought = False, frame / FRAMES_PER_SECOND, True
+                self._change.notify_all()
 
     def set_speed(self, speed: float) -> None:
         """Set the speed as a multiple of real time, kept within `SPEEDS`."""
@@ -184,7 +203,7 @@ class Player:
                 self._on_error(f"this design can't be shown: {error}")
 
     def _moving(self) -> bool:
-        return bool(self._playing and self._take and self._take.frames > 1 and clients_of(self._host))
+        return bool(self._playing and self._take and self._take.duration > 0 and clients_of(self._host))
 
     def _advance(self, elapsed: float) -> None:
         if self._take is None:
@@ -202,8 +221,9 @@ class Player:
             self._time = 0.0
         with self._host.atomic():
             self._scenery.show(take.scenery)
-            self._objects.show(take.objects, self._instant())
-            self._robot.show(take.robot, self._instant())
+            self._objects.show(take.objects, self._instant_of(take))
+            self._robot.show(take.robot, self._instant_of(take))
+            self._put_up_second(take.second)
             self._ghost.show(take.ghost, 0, _plain(take.ghost, "ghost"))
         self._painted = {self._scenery: take.scenery.colours, self._objects: take.objects.colours}
 
@@ -241,9 +261,18 @@ class Player:
                     figure = getattr(crowd, name)
                     layer.show(figure, 0, _plain(figure, name))
 
+    def _put_up_second(self, second: Second | None) -> None:
+        """Replace the second of two designs, and the letters above both where they stand side by side."""
+        frame = self._instant_of(second) if second else 0
+        self._second_robot.show(second.robot if second else None, frame)
+        self._second_objects.show(second.objects if second else None, frame)
+        self._second_scenery.show(second.scenery if second else None)
+        self._letters.show(second.letters if second and second.scenery is not None else None)
+
     def _frame(self, take: Take) -> None:
         """Lay the ruler and point the cameras, once for each task and its options."""
-        place = (take.shot.task, take.shot.task_options)
+        aside = tuple(take.second.away) if take.second else (0.0, 0.0, 0.0)
+        place = (take.shot.task, take.shot.task_options, aside)
         if place == self._framed:
             return
         self._framed = place
@@ -266,19 +295,28 @@ class Player:
             self._point(client, self._take)
 
     def _instant(self) -> int:
-        return min(round(self._time * FRAMES_PER_SECOND), self._take.frames - 1) if self._take else 0
+        return min(round(self._time * FRAMES_PER_SECOND), self._take.last_frame) if self._take else 0
+
+    def _instant_of(self, episode: Take | Second) -> int:
+        """Return the frame in which one of two episodes is now; the shorter one stays at its end."""
+        return min(self._instant(), episode.frames - 1)
 
     def _draw(self) -> None:
         take = self._take
         if take is None:
             return
-        frame = self._instant()
+        frame = self._instant_of(take)
         with self._host.atomic():  # robot, lights and contact markers belong to one instant
             self._robot.pose(frame)
             self._objects.pose(frame)
+            if take.second:
+                self._second_robot.pose(self._instant_of(take.second))
+                self._second_objects.pose(self._instant_of(take.second))
             self._paint(self._scenery, take.scenery_colours(frame))
             self._paint(self._objects, take.object_colours(frame))
             self._mark(take.contact[frame], take)
+            radius = _ARROW_RADIUS * float(np.max(take.box[1] - take.box[0]))
+            self._forces.show(take.forces.at(frame) if take.forces else np.zeros((0, 2, 3)), radius)
 
     def _paint(self, layer: Layer, colours: np.ndarray) -> None:
         if not np.array_equal(colours, self._painted.get(layer, colours)):

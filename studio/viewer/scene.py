@@ -14,6 +14,7 @@ from studio.viewer.figure import Figure, Mesh
 Host = viser.ViserServer | viser.ClientHandle
 """Whose scene and panels these are: those of one browser, or of all."""
 CONTACT_COLOUR = (225, 30, 30)
+FORCE_COLOUR = (220, 0, 170)
 GHOST_COLOURS = {
     "ghost": (128, 142, 170),
     "trail": (86, 180, 233),
@@ -130,6 +131,58 @@ class Layer:
         batch.handle.batched_colors = _linear(colours)
 
 
+class Arrows:
+    """Arrows of one colour in the scene, which come and go from frame to frame."""
+
+    def __init__(self, host: Host, name: str, colour: tuple[int, int, int]) -> None:
+        self._host = host
+        self._name = f"/{name}/arrows"
+        self._colour = colour
+        self._handle: viser.ArrowsHandle | None = None
+        self._shown = np.zeros((0, 2, 3), np.float32)
+
+    def show(self, arrows: np.ndarray, radius: float) -> None:
+        """Draw arrows (n, 2, 3) from start to end, with shafts of this radius in m."""
+        arrows = arrows.astype(np.float32)
+        if np.array_equal(arrows, self._shown):
+            return
+        self._shown = arrows
+        if self._handle is None:
+            self._handle = self._host.scene.add_arrows(
+                self._name, arrows, self._colour,
+                shaft_radius=radius, head_radius=2.5 * radius, head_length=5 * radius,
+            )  # fmt: skip
+        self._handle.visible = bool(len(arrows))
+        if len(arrows):
+            self._handle.points = arrows
+            self._handle.shaft_radius = radius
+            self._handle.head_radius, self._handle.head_length = 2.5 * radius, 5 * radius
+
+
+class Letters:
+    """Letters that stand above things in the scene, to tell them apart."""
+
+    def __init__(self, host: Host, name: str, letters: tuple[str, ...]) -> None:
+        self._host = host
+        self._name = name
+        self._letters = letters
+        self._handles: list[viser.LabelHandle] = []
+
+    def show(self, places: np.ndarray | None) -> None:
+        """Put each letter at its place (n, 3); None takes them away."""
+        if places is not None and not self._handles:
+            self._handles = [
+                self._host.scene.add_label(
+                    f"/{self._name}/{letter}", letter, font_screen_scale=1.8, anchor="bottom-center"
+                )
+                for letter in self._letters
+            ]
+        for i, handle in enumerate(self._handles):
+            handle.visible = places is not None
+            if places is not None:
+                handle.position = places[i]
+
+
 def light_up(host: Host) -> None:
     """Light the scene evenly: colours must look the same on the light and on the dark theme."""
     host.scene.configure_default_lights(enabled=False)
@@ -160,7 +213,7 @@ class Ruler:
     def show(self, floor: tuple[np.ndarray, np.ndarray], box: tuple[np.ndarray, np.ndarray]) -> None:
         """Draw the grid on `floor`, and a pole beside `box` unless that is flat; each is a pair of corners (3,)."""
         low, high = floor
-        cell = _round_length(float(np.max(high - low)) / 10)
+        cell = round_up(float(np.max(high - low)) / 10)
         start, end = np.floor(low[:2] / cell + 1e-6) * cell, np.ceil(high[:2] / cell - 1e-6) * cell
         z = float(low[2]) + 0.004 * cell
         xs, ys = _ticks(start[0], end[0], cell), _ticks(start[1], end[1], cell)
@@ -280,7 +333,7 @@ def _same(one: Mesh, other: Mesh) -> bool:
     )
 
 
-def _round_length(length: float) -> float:
-    """Return the smallest of 1, 2 and 5 times a power of ten that is not shorter than `length`."""
-    power = 10.0 ** math.floor(math.log10(max(length, 1e-6)))
-    return next(power * step for step in (1, 2, 5, 10) if power * step >= length * 0.999)
+def round_up(number: float) -> float:
+    """Return the smallest of 1, 2 and 5 times a power of ten that is not less than `number`."""
+    power = 10.0 ** math.floor(math.log10(max(number, 1e-6)))
+    return next(power * step for step in (1, 2, 5, 10) if power * step >= number * 0.999)

@@ -16,6 +16,7 @@ from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design
 from studio.new_run import StartRun
 from studio.viewer import wording
+from studio.viewer.compare import ComparePanel
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
 from studio.viewer.gallery import Album, GalleryPanel
@@ -132,8 +133,10 @@ class Viewer:
             on_star=self._star,
             on_refusal=self.refuse,
         )
-        self.playback = PlaybackPanel(gui, self.player, on_refusal=self.refuse)
+        self.playback = PlaybackPanel(gui, self.player, on_choice=self._turn, on_refusal=self.refuse)
         self.playback.panel.dock_below(left)
+        with self.timeline.panel.add_tab("A/B", viser.Icon.ARROWS_LEFT_RIGHT):
+            self.compare = ComparePanel(gui, on_choice=self._turn, on_refusal=self.refuse)
         look = self.timeline.panel.add_tab("Look", viser.Icon.PALETTE)
         self.looks = LooksPanel(gui, look, on_choice=self._refresh)
         self.timeline.panel.dock_below(gui.main_panel)
@@ -329,6 +332,8 @@ class Viewer:
         icon, timeline, playback = viser.Icon, self.timeline, self.playback
         return [
             Deed("Play or pause the episode", lambda _: playback.toggle_playback(), ("space", "K"), icon.PLAYER_PLAY),
+            Deed("One frame back", lambda _: playback.step(-1), (",",)),
+            Deed("One frame on", lambda _: playback.step(1), (".",)),
             Deed("One iteration back", lambda _: timeline.step(-1), ("arrowleft",), icon.ARROW_LEFT),
             Deed("One iteration on", lambda _: timeline.step(1), ("arrowright",), icon.ARROW_RIGHT),
             Deed("Live: follow the latest design", lambda _: timeline.toggle_follow(), ("L",), icon.PLAYER_TRACK_NEXT),
@@ -382,6 +387,8 @@ class Viewer:
             self.looks.update(history)
             self.gallery.update(history)
             shown, phi = self._shown_design(history)
+            self.playback.update(history, shown)
+            self.compare.update(self._histories, history, shown)
             self.run.offer_branch(shown)
             self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
@@ -421,6 +428,7 @@ class Viewer:
         self.design.clear()
         self.export.clear()
         self.what_if.clear()
+        self.compare.clear()
         self.looks.clear()
         self.gallery.clear()
         if run_id is None:
@@ -454,17 +462,23 @@ class Viewer:
         if changed:
             before, name = tuple(phi.tolist()), "recorded"
         in_front = self.what_if.phi if self.what_if.open else phi
+        which = self.playback.which(history, shown) if recorded and not self.what_if.open else None
+        second, overlaid = self.compare.second_shot(which, printed=self.looks.printed.value)
         return Shot(
             task=history.record.task,
             task_options=tuple(sorted(history.record.task_options.items())),
             phi=tuple(in_front.tolist()),
             episode=None if self.what_if.open else recorded,
+            which=which,
+            forces=self.playback.forces.value,
             played=self.what_if.episode if self.what_if.open else None,
             ghost=before if self.looks.ghost.value and (changed or shown > history.begins_at or recorded) else None,
             ghost_name=name,
             printed=self.looks.printed.value,
             tint=self.looks.tint(history, shown, in_front),
             beside=self.looks.beside(history, shown),
+            second=second,
+            overlaid=overlaid,
         )
 
     def _settle_pending(self) -> None:
@@ -483,10 +497,10 @@ class Viewer:
                     open_ones.append((command, asked_at))
             self._pending[run_id] = open_ones
 
-    def _show_time(self, seconds: float, duration: float) -> None:
-        self.playback.show_time(seconds, duration)
-        if self.player.take:
-            self.timeline.show_legend(legend_of(self.player.take))
+    def _show_time(self, seconds: float, _duration: float) -> None:
+        if take := self.player.take:
+            self.playback.show_time(take, seconds)
+            self.timeline.show_legend(legend_of(take))
 
 
 def _sender(client: viser.ClientHandle | None) -> str:
