@@ -11,7 +11,6 @@ import sys
 import threading
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -29,6 +28,7 @@ from morph_core.edits import AnyEdit, edited
 from morph_core.episodes import Score, evaluate, outcomes, record_episodes
 from morph_core.history import History, InForce
 from morph_core.method import Method
+from morph_core.pace import Pace
 from morph_core.processor import processor
 from morph_core.protocol import (
     Acknowledged,
@@ -67,7 +67,7 @@ class Trainer:
         self._status: Status = "starting"
         self._stage, self._message = "loading", ""
         self._stopping = self._step = False
-        self._pace: deque[tuple[float, int]] = deque(maxlen=20)  # s and environment steps of the last iterations
+        self._pace = Pace()
         self._iteration = self._env_steps = 0
         self._cpu_start = time.process_time()  # s, when this run's CPU clock stood at zero
         history = History(folder)
@@ -100,7 +100,7 @@ class Trainer:
             began, steps = time.monotonic(), state.env_steps
             for progress in method.iterations(task, state):
                 self._take_in(task, method, state, progress)
-                self._pace.append((time.monotonic() - began, state.env_steps - steps))
+                self._pace.took(time.monotonic() - began, state.env_steps - steps)
                 self._between_iterations(state)
                 if self._stopping or self._is_done(state):
                     break
@@ -127,14 +127,12 @@ class Trainer:
     def beat(self) -> None:
         """Rewrite the heartbeat."""
         remaining = self._remaining_iterations()
-        seconds = [seconds for seconds, _ in self._pace]
-        eta = float(np.mean(seconds)) * remaining if seconds else None
         self._heartbeat.write(
             Heartbeat(
                 host=platform.node(), pid=os.getpid(), process_started=self._process_started,
                 time=time.time(), status=self._status, stage=self._stage, message=self._message,
                 iteration=self._iteration, iterations=self._iteration + remaining,
-                env_steps=self._env_steps, eta_seconds=eta,
+                env_steps=self._env_steps, eta_seconds=self._pace.left(remaining),
             )
         )  # fmt: skip
 
@@ -159,7 +157,7 @@ class Trainer:
         remaining = max(0, self._last - self._iteration)
         if self._budget is None:
             return remaining
-        steps = np.mean([steps for _, steps in self._pace]) if self._pace else self._longest_iteration
+        steps = self._pace.env_steps or self._longest_iteration
         return min(remaining, math.ceil(max(0, self._budget - self._env_steps) / max(1.0, steps)))
 
     # --- one iteration ---

@@ -29,7 +29,7 @@ class Moment(msgspec.Struct, frozen=True, kw_only=True):
     iteration: int
     phi: list[float]
     alpha: float | None
-    """alpha in force; None for a method without a proxy."""
+    """The weight alpha in force; None for a method without a proxy."""
     projection: Projection | None
     """Projection rule in force; None for a method without a proxy."""
     parameters: list[Parameter]

@@ -1,5 +1,4 @@
-"""The command line `morph-studio`: serve, train, study, runs, log, replay, evaluate, compare, export,
-verify, import."""
+"""The command line `morph-studio`, one module for each of its commands."""
 
 import importlib
 import os

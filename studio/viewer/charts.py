@@ -21,7 +21,7 @@ less often."""
 _LONGEST_REST = 2.0
 """Longest time that a chart rests between two updates, in seconds."""
 MARK, MARK_COLOUR = "shown", "#8a94a3"
-"""Name in the legend, and colour, of the upright line at the iteration that is shown."""
+"""Name in the legend and of the scale, and colour, of the upright line at the iteration that is shown."""
 _MARK_REST = 0.15
 """Shortest time between two moves of that line, in seconds: each sends the curves again."""
 _FONT = "11px system-ui, sans-serif"
@@ -94,7 +94,7 @@ class Chart:
             self._say(self.trace.empty)
             return
         self._note.visible = False
-        curves = marked(self._curves, iteration, logarithmic=self.trace.logarithmic, bounds=self.trace.bounds)
+        curves = marked(self._curves, iteration, logarithmic=self.trace.logarithmic)
         if self.handle is None:
             with self._tab:
                 self.handle = self._make(curves)
@@ -128,18 +128,21 @@ class Chart:
         elif trace.logarithmic:
             scale = viser.uplot.Scale(auto=True, distr=_LOG, log=10)
         series = [viser.uplot.Series(label="iteration")]
+        drawn = [(label, colour, "y") for label, colour in zip(trace.labels, trace.colours, strict=False)]
         series += [
             viser.uplot.Series(
-                label=label, stroke=colour, width=2, points=viser.uplot.Series_Points(show=False), scale="y"
+                label=label, stroke=colour, width=2, points=viser.uplot.Series_Points(show=False), scale=on
             )
-            for label, colour in zip(
-                (*trace.labels, MARK), (*trace.colours[: len(trace.labels)], MARK_COLOUR), strict=False
-            )
+            for label, colour, on in (*drawn, (MARK, MARK_COLOUR, MARK))
         ]
         return self._gui.add_uplot(
             curves,
             tuple(series),
-            scales={"x": viser.uplot.Scale(time=False), "y": scale},
+            scales={
+                "x": viser.uplot.Scale(time=False),
+                "y": scale,
+                MARK: viser.uplot.Scale(auto=False, range=(0.0, 1.0)),
+            },
             axes=(
                 viser.uplot.Axis(
                     label="iteration",
@@ -200,22 +203,21 @@ def _extremes(y: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.where(finite.any(1)[:, None], found, np.nan).ravel()
 
 
-def marked(curves: Curves, at: float, *, logarithmic: bool, bounds: tuple[float, float] | None) -> Curves:
-    """Return the curves and one more series, an upright line at `at`.
+def marked(curves: Curves, at: float, *, logarithmic: bool) -> Curves:
+    """Return the curves and one more series, an upright line at `at` on a scale of its own from 0 to 1.
 
-    For it two points are put in where it crosses the curves, which go through them as they did without them.
+    For it points are put in where it crosses the curves, which go through them as they did without them. It has no
+    gaps, because uPlot finds no limits for an axis of which a series has one: it lies below its scale elsewhere.
     """
     x, *ys = curves
     at = float(np.clip(at, x[0], x[-1]))
     place = int(np.clip(np.searchsorted(x, at), 1, len(x) - 1))
     share = (at - x[place - 1]) / max(x[place] - x[place - 1], 1e-12)
-    finite = np.concatenate([y[np.isfinite(y)] for y in ys])
-    low, high = bounds or ((finite.min(), finite.max()) if len(finite) else (np.nan, np.nan))
-    line = np.full(len(x) + 2, np.nan)
-    line[place : place + 2] = low, high
     crossed = [_between(y[place - 1], y[place], share, logarithmic) for y in ys]
-    longer = [np.insert(y, place, [value, value]) for y, value in zip(ys, crossed, strict=True)]
-    return np.insert(x, place, [at, at]), *longer, line
+    upright = np.array([-1.0, 2.0, -1.0])
+    places = [place] * len(upright)
+    longer = [np.insert(y, places, value) for y, value in zip(ys, crossed, strict=True)]
+    return np.insert(x, places, at), *longer, np.insert(np.full(len(x), -1.0), places, upright)
 
 
 def _between(before: float, after: float, share: float, logarithmic: bool) -> float:

@@ -59,7 +59,7 @@ def _scale(tint: Tint) -> str:
     bar = f'<span style="flex:1;height:0.7em;border-radius:2px;background:linear-gradient(90deg, {stops})"></span>'
     ends = f"<span>{wording.text(tint.low)}</span>{bar}<span>{wording.text(tint.high)}</span>"
     row = f'<div style="display:flex;align-items:center;gap:0.5em;white-space:nowrap">{ends}</div>' if tint.low else ""
-    return wording.paragraph(f"parts by {wording.text(tint.meaning)}{row}")
+    return wording.paragraph(f"colours of the parts: {wording.text(tint.meaning)}{row}")
 
 
 def _colour_of(figure: Figure, name: str) -> Colour | None:

@@ -22,7 +22,6 @@ class PlaybackPanel:
     def __init__(
         self,
         gui: viser.GuiApi,
-        tab: viser.GuiTabHandle,
         player: Player,
         *,
         on_choice: Callable[[], None],
@@ -39,7 +38,8 @@ class PlaybackPanel:
         self._recorded: dict[str, Recorded] = {}
         self._wanted: Which = "median"
         self._take: Take | None = None
-        with tab:
+        self.panel = gui.add_panel()
+        with self.panel.add_tab("Episode", viser.Icon.PLAYER_PLAY):
             self.none = gui.add_html("")
             self.episode = gui.add_dropdown(
                 "episode", (_ONLY,), hint="By return among the episodes of this evaluation; failed: a typical failure"

@@ -58,7 +58,7 @@ class Shot:
     episode: tuple[RunFolder, int] | None = None
     """The run and iteration whose recorded episode is played; without one the robot stands in the start posture."""
     which: Which | None = None
-    """Which of the recorded episodes that is; None for the only one."""
+    """The recorded episode that is played: by its name among those of its evaluation, or None for the only one."""
     played: bytes | None = None
     """An episode that no run has recorded, as the bytes of an npz file; it goes before a recorded one."""
     ghost: tuple[float, ...] | None = None
@@ -89,9 +89,9 @@ class ForceArrows:
     """The contact forces of an episode as arrows, at each of its T + 1 postures; NaN for none."""
 
     starts: np.ndarray
-    """(T + 1, C, 3) m"""
+    """Starts of the arrows, (T + 1, C, 3) m."""
     ends: np.ndarray
-    """(T + 1, C, 3) m"""
+    """Ends of the arrows, (T + 1, C, 3) m."""
     newtons_per_cm: float
     factor: int
     """Frames from one posture to the next."""

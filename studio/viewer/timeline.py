@@ -47,14 +47,14 @@ class TimelinePanel:
         self.panel = gui.add_panel()
         with self.panel.add_tab("Timeline", viser.Icon.TIMELINE):
             self.what = gui.add_html("")
-            self.legend = gui.add_html("")
             self.marks = gui.add_html("")
             self.pointer = gui.add_html("")
             self.iteration = gui.add_slider(
                 "iteration", 0, 1, 1, 0, hint="The design of this iteration; the first is the initial one"
             )
-            self.key = gui.add_html("")
             self.follow = gui.add_checkbox("live", True, hint="Show each new design as it comes (L)")
+            self.legend = gui.add_html("")
+            self.key = gui.add_html("")
             self.recorded = gui.add_button_group(
                 "episodes", ("first", "back", "on", "last"), hint="Only iterations with a recorded episode"
             )

@@ -35,8 +35,8 @@ def change_tint(history: History, phi: np.ndarray) -> Tint:
     """
     low, high = history.design_space.hard_box
     share = (phi - history.initial_phi) / (high - low) / FAR
-    end = f"{100 * FAR:.0f} % of its range"
-    return Tint(_colours(history, share), "change since the start", f"−{end} or more", f"+{end} or more")
+    meaning, end = "change since the start, as a share of the parameter's range", f"{100 * FAR:.0f} %"
+    return Tint(_colours(history, share), meaning, f"−{end}", f"+{end}")
 
 
 def agreement_tint(history: History, iteration: int) -> Tint:
@@ -51,8 +51,8 @@ def agreement_tint(history: History, iteration: int) -> Tint:
     if measured is None:
         return Tint((), "agreement of g_task and g_hw: not measured so far", "", "")
     cosines = np.array([np.nan if c is None else c for c in measured.cosine_by_parameter or ()], float)
-    meaning = f"agreement of g_task and g_hw in iteration {measured.iteration}"
-    return Tint(_colours(history, cosines, least=True), meaning, "cosine −1", "cosine +1")
+    meaning = f"agreement of g_task and g_hw in iteration {measured.iteration}, as their cosine"
+    return Tint(_colours(history, cosines, least=True), meaning, "−1", "+1")
 
 
 def painted(figure: Figure, tint: Tint) -> np.ndarray:

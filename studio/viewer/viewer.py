@@ -133,8 +133,8 @@ class Viewer:
             on_star=self._star,
             on_refusal=self.refuse,
         )
-        episode = self.timeline.panel.add_tab("Episode", viser.Icon.PLAYER_PLAY)
-        self.playback = PlaybackPanel(gui, episode, self.player, on_choice=self._turn, on_refusal=self.refuse)
+        self.playback = PlaybackPanel(gui, self.player, on_choice=self._turn, on_refusal=self.refuse)
+        self.playback.panel.dock_below(left)
         with self.timeline.panel.add_tab("A/B", viser.Icon.ARROWS_LEFT_RIGHT):
             self.compare = ComparePanel(gui, on_choice=self._turn, on_refusal=self.refuse)
         look = self.timeline.panel.add_tab("Look", viser.Icon.PALETTE)

@@ -192,6 +192,7 @@ class WhatIfPanel:
     # --- what people do ---
 
     def start(self) -> None:
+        """Begin to change the shown design by hand."""
         history = self._history
         if history is None:
             return

@@ -150,7 +150,7 @@ def measure(port: int, options: TimeMachine, long: str) -> None:
                 costs.append(sum(server.cpu_times()[:2]) - spent)
             print(
                 f"scrub to an iteration {what}: moved body after {1e3 * np.median(waits):.0f} ms (median), "
-                f"{1e3 * max(waits):.0f} ms (longest); {1e3 * np.median(costs):.0f} ms of the server's processor till then"
+                f"{1e3 * max(waits):.0f} ms (longest); {1e3 * np.median(costs):.0f} ms of processor till then"
             )
         browser.send(slider, options.interval)
         _play(browser, server, options, "nothing beside it")

@@ -208,9 +208,9 @@ def test_success_has_its_milestones_and_each_unit_of_phi_its_own_chart(page: Pag
     np.testing.assert_allclose([column[-1] for column in charts["Success on Hw-Phy"].data[1:-1]], [25, 50, 75, 50])
     assert labels["Design φ: placement by finger"] == labels["Design φ: length by finger"] == ["1", "2", "3", "4", MARK]
     placement = charts["Design φ: placement by finger"].data[1]
-    np.testing.assert_allclose(placement, np.degrees([0, 0.1, 0.1, 0.1]))
+    np.testing.assert_allclose(placement, np.degrees([0, *[0.1] * 4]))
     initial = 100 * make_task("pen_press").design_space.initial[-1]
-    np.testing.assert_allclose(charts["Design φ: length by finger"].data[1], initial + np.array([0, 5, 5, 5]))
+    np.testing.assert_allclose(charts["Design φ: length by finger"].data[1], initial + np.array([0, *[5] * 4]))
     assert "+5.7°" in page.viewer.traces.change.content
 
 

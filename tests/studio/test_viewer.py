@@ -187,9 +187,11 @@ def test_charts_are_never_given_empty_arrays_and_wait_for_their_first_value(page
             assert len(chart.data[0]) >= 2
     assert "Success on Hw-Phy" not in page.viewer.traces.charts
     links = page.viewer.traces.charts["Design φ"]
-    assert eventually(lambda: page.show(folder) and links.data[1].tolist() == [3, 2, 2, 2, 2, 2])  # charts rest between
+    assert eventually(
+        lambda: page.show(folder) and links.data[1].tolist() == [3, 2, 2, 2, 2, 2, 2]
+    )  # charts rest between
     cosines = page.viewer.traces.charts["Agreement of g_task and g_hw"]
-    marked = [[2, 3, 3, 3], [-0.5, 0.5, 0.5, 0.5], [0.75, 0.25, 0.25, 0.25], [np.nan, -1.05, 1.05, np.nan]]
+    marked = [[2, 3, 3, 3, 3], [-0.5, *[0.5] * 4], [0.75, *[0.25] * 4], [-1, -1, 2, -1, -1]]
     np.testing.assert_allclose(cosines.data, marked)
     assert "Agreement by design parameter" not in page.viewer.traces.charts  # not defined so far
     append(folder, progress(4, cosine_by_parameter=[-0.5, None, 0.5, 1.0, -1.0]), progress(5))
@@ -330,7 +332,7 @@ def test_step_stop_and_hotkeys_send_their_commands(page: Page, folder: RunFolder
     page.viewer.run.toggle(None)
     assert [command for _, command in page.commands] == [StepIteration(), Stop(), Pause()]
     hotkeys = {command.hotkey for command in page.server.gui._command_handle_from_uuid.values()}
-    assert {"P", "K", "F", "space"} <= hotkeys
+    assert {"P", "K", "L", "space"} <= hotkeys
 
 
 def test_steering_sends_only_what_was_changed(page: Page, folder: RunFolder) -> None:
