@@ -1,10 +1,8 @@
 """What a person does with the episodes of a run, and with two designs at once, in a browser."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from playwright.sync_api import Frame, Page, expect
+from playwright.sync_api import Frame, Locator, Page, expect
 from served import Server, wait_for
 from test_studio import nodes_of, pause, turn_to, viewer_of
 
@@ -68,17 +66,20 @@ def choose(frame: Frame, label: str, option: str) -> None:
     pause(entry)
 
 
-def time_of(frame: Frame) -> float:
-    row = frame.get_by_text("time [s]", exact=True).first
-    inputs = row.locator("xpath=ancestor::div[contains(@class, 'Flex-root')][1]").locator("input:visible")
-    return float(inputs.last.input_value())
+def number_beside(frame: Frame, label: str) -> Locator:
+    """Return the input beside a slider."""
+    row = frame.get_by_text(label, exact=True).first.locator("xpath=ancestor::div[contains(@class, 'Flex-root')][1]")
+    return row.locator("input:visible").last
+
+
+def is_at(frame: Frame, seconds: float) -> bool:
+    return abs(float(number_beside(frame, "time [s]").input_value()) - seconds) < 0.011
 
 
 def test_the_best_and_the_worst_episode_are_watched_frame_by_frame(
     server: Server, runs: list[RunFolder], page: Page
 ) -> None:
     frame = open_run(page, server, runs[0])
-    turn_to(frame, "Episode")
     chart = frame.locator('svg[aria-label="terms of the reward over the episode"]')
     chart.wait_for(state="attached")
     median = chart.inner_html()
@@ -87,32 +88,29 @@ def test_the_best_and_the_worst_episode_are_watched_frame_by_frame(
 
     frame.get_by_role("button", name="Pause playback", exact=True).dispatch_event("click")
     frame.get_by_role("button", name="Play", exact=True).wait_for()
-    before = time_of(frame)
-    for _ in range(3):
-        frame.locator("body").press(".")
-        pause(chart)
-    wait_for("three frames", lambda: abs(time_of(frame) - before - 3 / 30) < 0.011, 10)
-    frame.locator("body").press(",")
-    wait_for("one frame back", lambda: abs(time_of(frame) - before - 2 / 30) < 0.011, 10)
+    entry = number_beside(frame, "time [s]")
+    entry.fill("1")
+    entry.press("Enter")
+    pause(entry)
+    entry.blur()  # keys that are typed into an input are no commands
+    for key, now in ((".", 31), (".", 32), (",", 31)):
+        frame.locator("body").press(key)
+        wait_for(f"frame {now}", lambda now=now: is_at(frame, now / 30), 10)
 
 
-def test_two_designs_stand_side_by_side_and_over_each_other(
-    server: Server, runs: list[RunFolder], page: Page, tmp_path: Path
-) -> None:
+def test_two_designs_stand_side_by_side_and_over_each_other(server: Server, runs: list[RunFolder], page: Page) -> None:
     frame = open_run(page, server, runs[0])
     turn_to(frame, "A/B")
     choose(frame, "show B", "side by side")
     wait_for("B", lambda: any(name.startswith("/second_robot/") for name in nodes_of(frame)), 20)
     expect(frame.get_by_text("B stands in its start posture").first).to_be_attached()
     choose(frame, "B: run", runs[1].id)
-    row = frame.get_by_text("B: iteration", exact=True).first
-    entry = row.locator("xpath=ancestor::div[contains(@class, 'Flex-root')][1]").locator("input:visible").last
+    entry = number_beside(frame, "B: iteration")
     entry.fill("10")
     entry.press("Enter")
     expect(frame.get_by_text("+0 points").first).to_be_attached(timeout=20_000)
     expect(frame.get_by_text(f"B: {runs[1].id}").first).to_be_attached()
     choose(frame, "show B", "overlaid")
     expect(frame.get_by_text("own colours").first).to_be_attached()
-    page.screenshot(path=tmp_path / "overlaid.png")
     choose(frame, "show B", "off")
     expect(frame.get_by_text("own colours")).to_have_count(0)
