@@ -78,7 +78,11 @@ class Room:
     @contextlib.contextmanager
     def browser(self, key: str) -> Iterator[Connection]:
         with connect(
-            f"{self.guarded.address}?{key}", subprotocols=[Subprotocol("viser-v1.1.1")], max_size=None, proxy=None
+            f"{self.guarded.address}?{key}",
+            subprotocols=[Subprotocol("viser-v1.1.1")],
+            max_size=None,
+            proxy=None,
+            close_timeout=0.3,
         ) as connection:
             connection.send(msgspec.msgpack.encode(CAMERA))
             yield connection
