@@ -139,7 +139,9 @@ def test_steering_goes_to_the_run_and_says_who_did_it(room: Room) -> None:
 def test_a_browser_that_comes_again_finds_what_it_left(room: Room) -> None:
     with room.browser(key("a")):
         assert room.shows(key("a"), NAME)
-        room.desks.put(key("a"), View(run=OTHER, iteration=1, ticks={"ghost": False}))
+        viewer = room.viewer_of(key("a"))
+        viewer.open(OTHER, 1)
+        viewer.looks.ghost.value = False
         assert room.shows(key("a"), OTHER, 1)
     assert eventually(lambda: not room.desks.seen(key("a")).connected)
     assert room.desks.seen(key("a")).run == OTHER
@@ -189,7 +191,8 @@ def test_one_browser_too_many_waits_until_another_leaves(room: Room) -> None:
 def test_a_browser_that_leaves_takes_its_threads_along(room: Room) -> None:
     before = len(players())
     with room.browser(key("a")), room.browser(key("b")):
-        assert eventually(lambda: len(players()) == before + 4)
+        assert eventually(lambda: len(room.desks._seated()) == 2)
+        assert len(players()) == before + 4
     assert eventually(lambda: len(players()) == before)
 
 
