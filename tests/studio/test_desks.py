@@ -38,13 +38,17 @@ class Room:
     desks: Desks = field(init=False)
     commands: list[tuple[str, AnyCommand, str]] = field(default_factory=list)
     viewers: list[Viewer] = field(default_factory=list)
+    free: threading.Event = field(default_factory=threading.Event)
+    """Set unless whoever makes viewers is held up."""
     breaking: bool = False
     """Whether no viewer can be made."""
 
     def __post_init__(self) -> None:
+        self.free.set()
         self.desks = Desks(self.guarded.server, self.make)
 
     def make(self, client: viser.ClientHandle) -> Viewer:
+        self.free.wait(20)
         if self.breaking:
             raise RuntimeError("no viewer today, says the test")
         viewer = Viewer(
@@ -193,6 +197,17 @@ def test_a_browser_that_leaves_takes_its_threads_along(room: Room) -> None:
     with room.browser(key("a")), room.browser(key("b")):
         assert eventually(lambda: len(room.desks._seated()) == 2)
         assert len(players()) == before + 4
+    assert eventually(lambda: len(players()) == before)
+
+
+def test_a_browser_that_leaves_before_its_viewer_is_made_leaves_nothing(room: Room) -> None:
+    before = len(players())
+    room.free.clear()
+    with room.browser(key("a")):
+        assert eventually(lambda: room.desks._desks)
+    assert eventually(lambda: not room.desks._desks)
+    room.free.set()
+    assert eventually(lambda: room.viewers)
     assert eventually(lambda: len(players()) == before)
 
 
