@@ -12,8 +12,10 @@ import msgspec
 from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.history import History
+from morph_core.inside import NotPlainError
 from morph_core.protocol import AnyCommand, AnyEvent, Evaluation, Parent, Resume, RunRecord, StateChanged, Status, Stop
-from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs
+from morph_core.pulse import Pulse, at_work
+from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs, passed_over
 from studio import limits
 from studio.commands import check_command
 from studio.inquest import Inquest
@@ -31,6 +33,8 @@ WATCHED = 20
 """Number of the newest runs that browsers are offered, beside those that run and those they show."""
 KEPT = 40
 """Largest number of runs that are kept in memory."""
+LONGEST_REASON = 500
+"""Largest number of characters of the reason why a run can't be read."""
 _EVENTS_TAIL = 65536
 _AT_REST: tuple[Status, ...] = (*SAID_ENDED, "lost", "unreadable")
 """States of a run that no trainer is at work on, and none is to be."""
@@ -85,9 +89,11 @@ class Runs:
         self._spawn = spawn
         self._launcher = launcher
         self._slurm = launcher or Slurm()
-        self._lock = threading.RLock()
+        self._lock = threading.Lock()  # of the tables here: nothing is read while it is held
+        self._turns: dict[str, threading.RLock] = {}
+        self._pulses: dict[str, Pulse] = {}
         self._histories: dict[str, History] = {}  # least recently used first
-        self._unreadable: dict[str, tuple[float, str]] = {}
+        self._unreadable: dict[str, tuple[tuple[int, ...], str]] = {}
         self._ended: dict[str, tuple[int, Summary]] = {}
         self._parents: dict[str, Parent | None] = {}
         self._outcomes: dict[str, tuple[int, Outcome]] = {}
@@ -99,14 +105,18 @@ class Runs:
     def get(self, run_id: str) -> History:
         """Return the run as it is now; raise RunFolderError if it is unknown or unreadable."""
         folder = find_run(self.folder, run_id)
-        with self._lock:
+        with self._turn(run_id):
             history = self._tail(folder)
             self._inquest.look(history)
             return history
 
+    def _turn(self, run_id: str) -> threading.RLock:
+        """Return the lock under which one run is read, so that a slow or strange one keeps no other waiting."""
+        return self._turns.setdefault(run_id, threading.RLock())
+
     def status(self, history: History) -> tuple[Status, str]:
         """Return what the run does and why, including what only a witness of its trainer's death can know."""
-        with self._lock:
+        with self._turn(history.folder.id):
             return self._in_queue(history.folder, *self._inquest.status(history))
 
     def ask_slurm(self) -> None:
@@ -123,17 +133,19 @@ class Runs:
             else:
                 status, reason = self._in_queue(folder, line.status, line.reason)
                 line = msgspec.structs.replace(line, status=status, reason=reason)
-        except RunFolderError as error:
-            line = Summary(id=run_id, status="unreadable", reason=str(error))
+        except Exception as error:  # whatever is wrong with one run, the others are listed
+            reason = str(error) if isinstance(error, RunFolderError) else f"{run_id} can't be read: {error!r}"
+            line = Summary(id=run_id, status="unreadable", reason=reason[:LONGEST_REASON])
         return msgspec.structs.replace(line, marks=self.marks(folder))
 
     def summaries(self) -> list[Summary]:
-        """Return all runs, newest first."""
+        """Return all runs, newest first, and at the end the folders that are none but seem to be meant as such."""
         lines = []
         for run_id in self.ids():
             with contextlib.suppress(RunFolderError):  # removed this very moment
                 lines.append(msgspec.structs.replace(self.summary(run_id), current=run_id == self.shown))
-        return lines
+        refused = passed_over(self.folder)
+        return lines + [Summary(id=name, status="unreadable", reason=why) for name, why in sorted(refused.items())]
 
     def rows(self) -> list[Row]:
         """Return all runs with what they have come to, newest first."""
@@ -157,13 +169,13 @@ class Runs:
     def evaluations(self, run_id: str) -> tuple[RunRecord, list[Evaluation]]:
         """Return a run's record and its evaluations; raise RunFolderError if there is no such run."""
         folder = find_run(self.folder, run_id)
-        with self._lock:
+        with self._turn(run_id):
             return folder.record(), evaluations_of(self._landmarks(folder))
 
     def marks(self, folder: RunFolder) -> Marks:
         """Return what people have noted about a run."""
         try:
-            changed_at = (folder.path / FILE).stat().st_mtime_ns
+            changed_at = (folder.path / FILE).lstat().st_mtime_ns
         except OSError:
             return Marks()
         known = self._marks.get(folder.id)
@@ -187,8 +199,7 @@ class Runs:
     def watched(self, selected: Collection[str] = ()) -> dict[str, History]:
         """Return the runs that browsers may show, newest first: recent, running, current, and what they `selected`."""
         names = self.ids()
-        with self._lock:
-            wanted = {*names[:WATCHED], *self._inquest.children, self.shown, *selected}
+        wanted = {*names[:WATCHED], *self._inquest.children, self.shown, *selected}
         histories = {}
         for name in names:
             if name in wanted:
@@ -220,7 +231,7 @@ class Runs:
     def mark(self, run_id: str, change: MarksChange) -> Marks:
         """Change what is noted about a run. Raise ValueError, nothing changed, if it is too long or unreadable."""
         folder = find_run(self.folder, run_id)
-        with self._lock:
+        with self._turn(run_id):
             marks = changed(read_marks(folder.path), change)
             write_marks(folder.path, marks)
         return marks
@@ -240,7 +251,7 @@ class Runs:
     def discard(self, run_id: str) -> Trashed:
         """Move a run into the trash. Raise ValueError if a trainer is at work on it, or it waits for one."""
         folder = find_run(self.folder, run_id)
-        with self._lock:
+        with self._turn(run_id):
             status = self.summary(run_id).status
             if status not in _AT_REST:
                 raise ValueError(f"{run_id} is {status}: stop it, then delete it")
@@ -274,30 +285,35 @@ class Runs:
                 shutil.rmtree(folder.path)
                 raise
         else:
-            with self._lock:
+            with self._turn(folder.id):
                 self._launch(folder)
         self.shown = folder.id
         return folder.id
 
-    def resume(self, run_id: str, further: int | None = None) -> None:
+    def resume(self, run_id: str, further: int | None = None, from_start: bool = False) -> None:
         """Start a trainer that goes on from the newest checkpoint; ValueError if one is at work or nothing is left.
 
+        Where no checkpoint can be read any more it ends with a sentence, unless it may begin anew `from_start`.
         A run that came from Slurm's queue goes back into it: no trainer of it starts on this machine.
         """
         if further is not None:
             further = limits.iterations(further, "further")
-        with self._lock:
+        folder = find_run(self.folder, run_id)
+        watched = not self.get(run_id).pulse.is_alive and at_work(folder.heartbeat)  # before it is anybody's turn
+        with self._turn(run_id):
             history = self.get(run_id)
             status, _ = self.status(history)
-            if self._inquest.is_alive(history):
+            if watched or self._inquest.is_alive(history):
                 raise ValueError(f"{run_id} has a trainer already and is {status}; send it the command resume instead")
             if status == "queued" and slurm_launch(history.folder):
                 raise ValueError(f"{run_id} is in Slurm's queue already: {self.status(history)[1]}")
             if status == "finished" and further is None:
                 raise ValueError(f"{run_id} has finished: say how many iterations it shall do further")
             queued = slurm_launch(history.folder)
+            if queued and from_start:
+                raise ValueError(f"{run_id} came from Slurm's queue, from which none begins anew: start a new run")
             if not queued:
-                self._launch(history.folder, further)
+                self._launch(history.folder, further, from_start)
         if queued:
             until = history.iteration + further if further is not None else None
             self._slurm.resume(self.folder, run_id, until=until)
@@ -314,7 +330,7 @@ class Runs:
         history = self.get(run_id)
         task = make_task(history.record.task, history.record.task_options)
         command = check_command(command, history.in_force, task)
-        with self._lock:
+        with self._turn(run_id):
             alive, (status, _) = self._inquest.is_alive(history), self.status(history)
         if not alive:
             if status != "queued":
@@ -325,8 +341,8 @@ class Runs:
             return 0
         return history.folder.send(command, sender)
 
-    def _launch(self, folder: RunFolder, further: int | None = None) -> None:
-        self._inquest.begin(folder, lambda: self._spawn(folder, further=further))
+    def _launch(self, folder: RunFolder, further: int | None = None, from_start: bool = False) -> None:
+        self._inquest.begin(folder, lambda: self._spawn(folder, further=further, from_start=from_start))
 
     def _in_queue(self, folder: RunFolder, status: Status, reason: str) -> tuple[Status, str]:
         """Return what a run does and why, with what Slurm says of it where its folder can't tell."""
@@ -355,10 +371,10 @@ class Runs:
     def _outcome(self, folder: RunFolder) -> Outcome:
         """Return what a run has come to; its log is read again only when it has grown."""
         try:
-            size = folder.events.stat().st_size
+            size = folder.events.lstat().st_size
         except OSError:
             return Outcome()
-        with self._lock:
+        with self._turn(folder.id):
             known = self._outcomes.get(folder.id)
             if known is None or known[0] != size:
                 known = self._outcomes[folder.id] = size, outcome_of(self._landmarks(folder))
@@ -367,32 +383,33 @@ class Runs:
     def _landmarks(self, folder: RunFolder) -> list[AnyEvent]:
         history = self._histories.get(folder.id)
         if history is None:
-            return landmarks(folder.events)
-        history.poll()
+            return landmarks(folder.path)
+        with contextlib.suppress(RunFolderError):  # its line says why
+            history.poll()
         return history.events
 
     def _tail(self, folder: RunFolder) -> History:
-        """Return the run's history, polled; an unreadable run is not read again until its run.json changes."""
-        try:
-            changed = (folder.path / "run.json").stat().st_mtime
-        except OSError:
-            changed = 0.0
+        """Return the run's history, polled; an unreadable run is not read again until one of its files changes."""
+        changed = tuple(_changed(folder.path / name) for name in ("run.json", "events.jsonl", "heartbeat.json"))
         known = self._unreadable.get(folder.id)
         if known and known[0] == changed:
             raise RunFolderError(known[1])
-        history = self._histories.pop(folder.id, None)
+        with self._lock:
+            history = self._histories.pop(folder.id, None)
         try:
             if history is None:
-                history = History(folder)
+                history = History(folder, self._pulses.setdefault(folder.id, Pulse()))
             else:
                 history.poll()
-        except (ValueError, OSError) as error:  # foreign parameters, a directory where a file belongs, no permission
-            reason = str(error) if isinstance(error, RunFolderError) else f"{folder.id} can't be read: {error}"
-            self._unreadable[folder.id] = changed, reason
+        except Exception as error:  # foreign parameters, a directory where a file belongs, no permission
+            reason = str(error) if isinstance(error, RunFolderError) else f"{folder.id} can't be read: {error!r}"
+            if not _may_pass(error):
+                self._unreadable[folder.id] = changed, reason
             raise RunFolderError(reason) from error
-        self._histories[folder.id] = history
-        if len(self._histories) > KEPT:
-            del self._histories[next(iter(self._histories))]
+        with self._lock:
+            self._histories[folder.id] = history
+            if len(self._histories) > KEPT:
+                del self._histories[next(iter(self._histories))]
         return history
 
     def _summarise(self, history: History) -> Summary:
@@ -417,11 +434,10 @@ class Runs:
 
     def _ended_summary(self, folder: RunFolder) -> Summary | None:
         """Return the line of a run that has ended from the end of its log alone: hundreds stay quick to list."""
-        with self._lock:
-            if self._inquest.concerns(folder.id) or folder.id in self._histories:
-                return None
+        if self._inquest.concerns(folder.id) or folder.id in self._histories:
+            return None
         try:
-            size = folder.events.stat().st_size
+            size = folder.events.lstat().st_size
         except OSError:
             return None
         known = self._ended.get(folder.id)
@@ -452,3 +468,17 @@ class Runs:
         )
         self._ended[folder.id] = size, line
         return line
+
+
+def _changed(path: Path) -> int:
+    """Return when a file was last changed, in nanoseconds; 0 where there is none."""
+    try:
+        return path.lstat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _may_pass(error: BaseException) -> bool:
+    """Tell whether what kept a run from being read may be over the next time: too many open files, a slow disk."""
+    cause = error if isinstance(error, OSError) else error.__cause__
+    return isinstance(cause, OSError) and not isinstance(cause, NotPlainError)

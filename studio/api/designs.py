@@ -12,7 +12,7 @@ from morph_core.catalogue import make_task
 from morph_core.forces import contact_forces
 from morph_core.history import History
 from morph_core.protocol import InjectDesign, Which
-from morph_core.run_folder import RunFolderError, read_episode
+from morph_core.run_folder import RunFolderError, episode_bytes, read_episode
 from studio.api.messages import (
     Accepted,
     Checked,
@@ -33,7 +33,6 @@ from studio.export.design_file import phi_for, read_design, starting_from
 from studio.new_run import StartRun
 from studio.runs import Runs
 
-MAX_EPISODE = 256 << 20
 Formats = Annotated[list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step; repeated or with commas")]
 OtherPhi = Annotated[list[float] | None, Query(description="All values of another design in its place; repeated")]
 WhichEpisode = Annotated[
@@ -72,16 +71,12 @@ def episode_of(history: History, iteration: str, which: Which | None = None, *, 
     With `forces` it also has the contact forces. Raise RunFolderError with the choices if there is no such episode.
     """
     folder = history.folder
-    recorded = {int(p.stem): p for p in folder.episodes.glob("[0-9]*.npz") if p.stem.isdecimal()}
-    path = recorded.get(int(iteration)) if iteration.isdecimal() and len(iteration) <= 12 else None
-    if path is None:
-        choices = ", ".join(str(i) for i in sorted(recorded)) or "none yet"
+    recorded = folder.episode_iterations()
+    if not iteration.isdecimal() or len(iteration) > 12 or int(iteration) not in recorded:
+        choices = ", ".join(map(str, recorded)) or "none yet"
         raise RunFolderError(f"{folder.id} has no episode of iteration {iteration[:40]}; choose from: {choices}")
-    # A folder from elsewhere may hold links to other files of this machine.
-    if path.is_symlink() or folder.episodes.is_symlink() or not path.is_file() or path.stat().st_size > MAX_EPISODE:
-        raise RunFolderError(f"episode {iteration} of {folder.id} is no plain file of a sensible size")
     if which is None and not forces:
-        return path.read_bytes()
+        return episode_bytes(folder, int(iteration))
     arrays = read_episode(folder, int(iteration), which)
     if forces:
         task = make_task(history.record.task, history.record.task_options)

@@ -29,6 +29,8 @@ class ResumeRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     further: Number | None = None
     """Number of iterations beyond the last recorded one; without it the run goes on to the planned number."""
+    from_start: bool = False
+    """Whether a run of which no checkpoint can be read any more begins anew, which gives up what it had learnt."""
 
 
 class TaskInfo(msgspec.Struct, frozen=True):

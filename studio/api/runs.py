@@ -94,7 +94,7 @@ def runs_router(runs: Runs) -> APIRouter:
         summary="Start a trainer that goes on from the newest checkpoint",
     )
     def resume(run_id: str, wish: Annotated[ResumeRun, Depends(body_of(ResumeRun))]) -> Response:
-        runs.resume(run_id, wish.further)
+        runs.resume(run_id, wish.further, wish.from_start)
         return reply(state_of(runs, run_id), 202)
 
     @router.post("/{run_id}/show", responses=gives(RunState), summary="Let every open browser show this run")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from morph_core import durable
+from morph_core import durable, inside
 
 FILE = "marks.json"
 MOST_STARS = 100
@@ -48,9 +48,8 @@ _decoder = msgspec.json.Decoder(Marks)
 def read_marks(folder: Path) -> Marks:
     """Return the marks of the run in `folder`; none where there is no such file, or one that can't be used."""
     try:
-        with (folder / FILE).open("rb") as file:
-            return _checked(_decoder.decode(file.read(_LARGEST_FILE)))
-    except (OSError, ValueError):  # a run's list is worth more than what somebody wrote into this file
+        return _checked(_decoder.decode(inside.read(folder, FILE, _LARGEST_FILE)))
+    except (OSError, ValueError, RecursionError):  # a run's list is worth more than what somebody wrote into this file
         return Marks()
 
 

@@ -470,7 +470,7 @@ def test_what_is_acknowledged_is_in_a_checkpoint_before_the_word(
 
     def look(_: EventLog, event: AnyEvent) -> AnyEvent:
         if isinstance(event, protocol.Acknowledged):
-            found.append(load_newest(folder, task, SMALL))
+            found.append(load_newest(folder, task, SMALL)[0])
         return event
 
     monkeypatch.setattr(EventLog, "append", look)

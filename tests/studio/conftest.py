@@ -80,9 +80,11 @@ with hold(folder):
 """
 
 
-def stand_in(folder: RunFolder, *, further: int | None = None, mood: str = "healthy") -> subprocess.Popen[bytes]:
+def stand_in(
+    folder: RunFolder, *, further: int | None = None, from_start: bool = False, mood: str = "healthy"
+) -> subprocess.Popen[bytes]:
     """Start a process that keeps the trainer's side of the run folder, and learns nothing."""
-    del further
+    del further, from_start
     with (folder.path / "trainer.log").open("ab") as log:
         return subprocess.Popen(
             [sys.executable, "-c", STAND_IN, str(folder.path), mood],
@@ -92,7 +94,9 @@ def stand_in(folder: RunFolder, *, further: int | None = None, mood: str = "heal
 
 def in_mood(mood: str) -> Callable[..., subprocess.Popen[bytes]]:
     """Return a `spawn` whose stand-ins are stillborn or dying."""
-    return lambda folder, *, further=None: stand_in(folder, further=further, mood=mood)
+    return lambda folder, *, further=None, from_start=False: stand_in(
+        folder, further=further, from_start=from_start, mood=mood
+    )
 
 
 def make_run(runs: Path, name: str = NAME, ended: Status | None = "stopped") -> RunFolder:

@@ -478,7 +478,7 @@ def test_ctrl_c_saves_stops_and_says_how_to_go_on(
     assert folder.checkpoint_iterations()[-1] == history.iteration
     assert f"morph-studio train --resume {folder.path}" in said
     assert "Traceback" not in said
-    assert not folder.trainer_alive()
+    assert not History(folder).pulse.is_alive
     again = trained(folder.path.parent, "--resume", folder.id, "--iterations", "1")
     assert again["iterations"] == history.iteration + 1
 
