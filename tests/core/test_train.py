@@ -74,7 +74,8 @@ def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path:
         low, high = evaluation.return_interval
         assert low <= evaluation.sampled_return <= high
     assert episode["population"].shape == (min(SMALL.trajectories, SHOWN_DESIGNS), 5)
-    assert episode["generation"].shape == (4, 5)  # what the last generation of CMA-ES tried
+    assert isinstance(SMALL.search, Cma)
+    assert episode["generation"].shape == (SMALL.search.population, 5)  # what the last generation of CMA-ES tried
     assert np.ptp(episode["generation"], axis=0).min() > 0
     assert not [name for name in episode if name.startswith("milestones/")]
     assert [e.milestones for e in history.evaluations] == [{}] * 3
