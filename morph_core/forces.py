@@ -61,7 +61,6 @@ def forces_at(
     instants = []
     for position, velocity, control in zip(qpos, qvel, ctrl, strict=True):
         data.qpos[:], data.qvel[:], data.ctrl[:] = position, velocity, control
-        data.qacc_warmstart[:] = 0  # an instant must not depend on the one that was worked out before it
         mujoco.mj_forward(model, data)
         instants.append([_force(model, data, i, rank) for i in range(data.ncon)])
     felt = [[(p, f) for p, f in found if np.linalg.norm(f) > _SMALLEST] for found in instants]

@@ -163,6 +163,37 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     # --- what if ---
     *_of(
+        f"{CORE}/episodes.py", "core/test_recorded.py",
+        ("(len(episodes) - 1) // 2", "len(episodes) // 2"),
+        ('"best": int(order[-1])', '"best": int(order[0])'),
+        ('"worst": int(order[0])', '"worst": int(order[-1])'),
+        ("order[~rollout.successes[order]]", "order[rollout.successes[order]]"),
+        ("{*chosen.values()} - {median}", "{*chosen.values()}"),
+        ("chosen.get(which, -1)", "chosen.get(which, 0)"),
+    ),
+    *_of(
+        f"{CORE}/forces.py", "core/test_forces.py",
+        ("reshape(3, 3).T @ wrench", "reshape(3, 3) @ wrench"),
+        ("-on_second if first > second", "-on_second if first < second"),
+        ("rank[model.body_weldid == 0] = 0", "rank[model.body_weldid == 0] = 3"),
+        (
+            'np.concatenate([episode["ctrl"][:1], episode["ctrl"]])',
+            'np.concatenate([episode["ctrl"], episode["ctrl"][-1:]])',
+        ),
+    ),
+    *_of(
+        "studio/viewer/rewards.py", "studio/test_playback.py",
+        ("np.minimum(stacked, 0).sum(0).min(", "np.minimum(stacked, 0).min(0).min("),
+        ("above + np.maximum(term, 0), below", "np.maximum(term, 0), below"),
+        ("_HEIGHT * (top - value)", "_HEIGHT * (value - bottom)"),
+    ),
+    *_of(
+        "studio/compare.py", "studio/test_compare.py",
+        ("value - a[name]", "a[name] - value"),
+        ("else b - a", "else a - b"),
+        ("round(said.sampled_success * said.episodes)", "round(said.sampled_success)"),
+    ),
+    *_of(
         f"{CORE}/what_if.py", "studio/test_what_if.py::test_the_interval_of_a_success_is_that_of_scipy",
         ("share * (1 - share) + z2 / (4 * episodes)", "share * (1 - share)"),
         ("(successes + z2 / 2)", "(successes + z2)"),

@@ -1,5 +1,8 @@
 """Contact forces of an episode, held to weights that rest."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import mujoco
 import numpy as np
 import pytest
@@ -73,6 +76,22 @@ def test_the_pen_weighs_on_the_table_what_it_weighs() -> None:
     assert np.nansum(found.forces[-1], 0) == pytest.approx([0, 0, weight], rel=0.01, abs=0.01)
     # the hand stays where it starts, so its servos' targets are its joints
     assert episode["ctrl"][-1] == pytest.approx(episode["qpos"][-2, : task.hand.joints])
+
+
+def test_a_posture_feels_the_control_by_which_it_was_reached() -> None:
+    piston = '<body name="piston" pos="0 0 .05"><joint name="up" type="slide" axis="0 0 1"/><geom size=".05"/></body>'
+    drive = '<actuator><motor joint="up"/></actuator>'
+    scene, robot = (f"<mujoco><worldbody>{world}</worldbody>{drive}</mujoco>" for world in (TABLE + piston, piston))
+    task: Any = SimpleNamespace(
+        scene=lambda _: mujoco.MjSpec.from_string(scene), spec=lambda _: mujoco.MjSpec.from_string(robot)
+    )
+    model = mujoco.MjModel.from_xml_string(scene)
+    pressed, still = np.full((3, 1), -1e-4), np.zeros((3, 1))
+    ctrl = np.array([[-1.0], [-20.0]])
+    found = contact_forces(task, np.zeros(0), {"qpos": pressed, "qvel": still, "ctrl": ctrl})
+    known = forces_at(model, carried_first(model, {"piston"}), pressed[:2], still[:2], ctrl)
+    assert np.array_equal(found.forces, known.forces[[0, 0, 1]])
+    assert known.forces[1, 0, 2] > known.forces[0, 0, 2] + 10
 
 
 def test_a_task_that_is_not_simulated_has_none() -> None:

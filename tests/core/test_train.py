@@ -64,6 +64,15 @@ def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path:
     steps = len(episode["action"])
     assert episode["qpos"].shape == (steps + 1, 5)
     assert episode["contact"].shape == (steps, 1, 3)
+    for evaluation in history.evaluations:
+        assert [r.which for r in evaluation.recorded][:3] == ["median", "best", "worst"]
+        for r in evaluation.recorded:
+            rewards = read_episode(folder, evaluation.iteration, r.which)["reward"]
+            assert rewards.sum() == pytest.approx(r.episode_return)
+        assert sum(evaluation.reward_terms.values()) == pytest.approx(evaluation.sampled_return)
+        assert evaluation.return_interval is not None
+        low, high = evaluation.return_interval
+        assert low <= evaluation.sampled_return <= high
     assert episode["population"].shape == (min(SMALL.trajectories, SHOWN_DESIGNS), 5)
     assert not [name for name in episode if name.startswith("milestones/")]
     assert [e.milestones for e in history.evaluations] == [{}] * 3
