@@ -113,7 +113,7 @@ theme.addEventListener("click", () => {
 
 // --- keys ------------------------------------------------------------------------------------------------------------
 
-const typing = (event) => event.target instanceof event.view.Element && event.target.closest("input, textarea, select, [contenteditable=true], dialog");
+const typing = (event) => event.target instanceof event.view.Element && event.target.closest("input, textarea, select, [contenteditable=true], dialog[open]");
 
 function hear(event) {
   if (event.key !== "?" || typing(event)) return false;
@@ -122,9 +122,10 @@ function hear(event) {
   return true;
 }
 
-// A key that is pressed while no part of this page has the focus is meant for the viewer.
+// A key that nothing on this page takes is meant for the viewer.
 document.addEventListener("keydown", (event) => {
-  if (hear(event) || event.target !== document.body || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (hear(event) || typing(event) || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.target.closest("button, a, #tour") && [" ", "Enter", "Tab", "Escape"].includes(event.key)) return;
   const { key, code, shiftKey } = event;
   viewer.contentDocument?.documentElement.dispatchEvent(new KeyboardEvent("keydown", { key, code, shiftKey, bubbles: true }));
   focusViewer();
@@ -156,7 +157,7 @@ function describe(run) {
   const parts = [];
   if (run.stage) parts.push(run.stage);
   if (run.iterations) parts.push(`iteration ${run.iteration} of ${run.iterations}`);
-  if (run.eta_seconds !== null) parts.push(`${duration(run.eta_seconds)} left`);
+  if (run.eta_seconds !== null && run.status === "running") parts.push(`${duration(run.eta_seconds)} left`);
   if (run.success !== null) parts.push(`success ${percent(run.success)}`);
   return parts.join("  ·  ");
 }

@@ -200,7 +200,7 @@ def _extremes(y: np.ndarray, edges: np.ndarray) -> np.ndarray:
     finite = np.isfinite(values)
     places = np.stack([np.where(finite, values, np.inf).argmin(1), np.where(finite, values, -np.inf).argmax(1)], 1)
     found = np.take_along_axis(values, np.sort(places, 1), 1)
-    return np.where(finite.any(1)[:, None], found, np.nan).ravel()
+    return np.where(finite.any(axis=1, keepdims=True), found, np.nan).ravel()
 
 
 def marked(curves: Curves, at: float, *, logarithmic: bool) -> Curves:

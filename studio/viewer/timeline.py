@@ -53,18 +53,18 @@ class TimelinePanel:
                 "iteration", 0, 1, 1, 0, hint="The design of this iteration; the first is the initial one"
             )
             self.follow = gui.add_checkbox("live", True, hint="Show each new design as it comes (L)")
+            self.in_force = gui.add_html("")
             self.legend = gui.add_html("")
-            self.key = gui.add_html("")
-            self.recorded = gui.add_button_group(
-                "episodes", ("first", "back", "on", "last"), hint="Only iterations with a recorded episode"
-            )
-            self.marked = gui.add_button_group(
-                "marks", ("back", "on"), hint="The marks of the timeline but for recorded episodes"
-            )
             self.evolve = gui.add_button(
                 "Play the evolution", icon=viser.Icon.PLAYER_TRACK_NEXT,
                 hint="The body goes through the iterations, in its start posture",
             )  # fmt: skip
+            self.recorded = gui.add_button_group(
+                "episodes", ("first", "back", "on", "last"), hint="Only iterations with a recorded episode"
+            )
+            self.marked = gui.add_button_group(
+                "marks", ("previous", "next"), hint="The marks of the timeline but for recorded episodes"
+            )
             self.pace = gui.add_slider("pace [1/s]", *PACES, 1, 10, hint="Iterations per second of the evolution")
             self.again = gui.add_checkbox("again and again", True, hint="Begin the evolution anew after its end")
             self.star = gui.add_button("Star this design", icon=viser.Icon.STAR, hint="It stands first in the gallery")
@@ -72,7 +72,7 @@ class TimelinePanel:
                 "Continue from this design", icon=viser.Icon.GIT_BRANCH,
                 hint="The running run takes this φ as its design from the next iteration on",
             )  # fmt: skip
-            self.in_force = gui.add_html("")
+            self.key = gui.add_html("")
         self._choices = (
             self.follow, self.iteration, self.recorded, self.marked, self.evolve, self.pace, self.again, self.star,
         )  # fmt: skip
@@ -263,18 +263,18 @@ class TimelinePanel:
         return True
 
     def _jump(self, where: str, *, marks: bool = False) -> None:
-        steps: dict[str, Callable[[Sequence[int], int], int]] = {
-            "first": lambda stops, _: stops[0],
-            "back": lambda stops, here: max((i for i in stops if i < here), default=stops[0]),
-            "on": lambda stops, here: min((i for i in stops if i > here), default=stops[-1]),
-            "last": lambda stops, _: stops[-1],
-        }
+        here = self.shown_iteration
         stops = [m.iteration for m in self._marks if m.kind != "episode"] if marks else self._recorded
-        if not stops or where not in steps:
-            return
-        goal = steps[where](stops, self.shown_iteration)
-        self.turn_to(goal)
-        self._on_choice()
+        goals = {
+            "first": lambda: stops[0],
+            "back": lambda: max((i for i in stops if i < here), default=stops[0]),
+            "on": lambda: min((i for i in stops if i > here), default=stops[-1]),
+            "last": lambda: stops[-1],
+        }
+        goals |= {"previous": goals["back"], "next": goals["on"]}
+        if stops and where in goals:
+            self.turn_to(goals[where]())
+            self._on_choice()
 
     def _set_pace(self, client: viser.ClientHandle | None) -> None:
         value = self.pace.value

@@ -61,12 +61,12 @@ def test_one_person_does_not_see_what_another_one_chooses(server: Server, page: 
     choose(page, OLD)
     page.keyboard.press("ArrowLeft")
     shows(page, OLD, 9)
-    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached()
+    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached(timeout=20_000)
     shows(other, NEW)
     expect(other.locator("#chooser")).to_have_value(NEW)
     page.reload()
     shows(page, OLD, 9)
-    expect(page.locator("#chooser")).to_have_value(OLD)
+    expect(page.locator("#chooser")).to_have_value(OLD, timeout=20_000)
 
 
 @pytest.mark.usefixtures("runs")
@@ -85,7 +85,7 @@ def test_keys_scrub_follow_help_and_begin(server: Server, page: Page) -> None:
     page.keyboard.press("Escape")
     expect(page.get_by_role("dialog", name="Keys")).to_be_hidden()
     page.keyboard.press("n")
-    expect(viewer_of(page).get_by_role("button", name="Start", exact=True)).to_be_visible()
+    expect(viewer_of(page).get_by_role("button", name="Start", exact=True)).to_be_visible(timeout=20_000)
 
 
 @pytest.mark.usefixtures("runs")
@@ -112,10 +112,10 @@ def test_a_run_deleted_elsewhere_is_said_and_comes_back(server: Server, runs: Pa
     shutil.move(runs / NEW, tmp_path / "elsewhere")
     banner = page.locator("#banner")
     expect(banner).to_contain_text(f"{NEW} is no longer in the folder of runs", timeout=15_000)
-    expect(viewer_of(page).get_by_text("deleted or moved").first).to_be_attached()
+    expect(viewer_of(page).get_by_text("deleted or moved").first).to_be_attached(timeout=20_000)
     shutil.move(tmp_path / "elsewhere", runs / NEW)
     expect(banner).to_be_hidden(timeout=15_000)
-    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached()
+    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached(timeout=20_000)
     shows(page, NEW, 9)
 
 
@@ -125,7 +125,7 @@ def test_the_tour_is_dismissed_for_good(server: Server, other: Page, page: Page)
     other.context.add_cookies(page.context.cookies())  # pyright: ignore[reportArgumentType]
     open_page(other, f"http://127.0.0.1:{server.port}/")
     tour = other.get_by_role("dialog", name="Start a run")
-    expect(tour).to_be_visible()
+    expect(tour).to_be_visible(timeout=20_000)
     other.get_by_role("button", name="Next").click()
     expect(other.get_by_role("dialog", name="Watch it learn")).to_be_visible()
     other.get_by_role("button", name="Dismiss").click()

@@ -243,10 +243,10 @@ def test_marks_are_jumped_to_one_by_one(page: Page, folder: RunFolder) -> None:
     timeline, seen = page.viewer.timeline, []
     timeline.turn_to(0)
     for _ in range(6):
-        timeline._jump("on", marks=True)
+        timeline._jump("next", marks=True)
         seen.append(timeline.shown_iteration)
     assert seen == [1, 2, 3, 4, 5, 5]
-    timeline._jump("back", marks=True)
+    timeline._jump("previous", marks=True)
     assert timeline.shown_iteration == 4
     timeline._jump("no such way", marks=True)
     assert timeline.shown_iteration == 4
