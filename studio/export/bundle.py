@@ -23,13 +23,14 @@ from studio.export.control import control_settings
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
 from studio.export.meshes import glb, start_posture, three_mf
-from studio.export.mjcf import write_mjcf
+from studio.export.mjcf import oldest_reader, write_mjcf
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
 from studio.export.provenance import provenance_of
 from studio.export.report import bill_of_materials, report
 from studio.export.step import step_files
 from studio.export.urdf import write_urdf
+from studio.export.zero import hold_keyframes, moved_zero, servo_targets
 from studio.robots.chooser import robot_of
 from studio.robots.parts import MILLIMETRE, Part, body_of, colours_of, dress, stl_files
 from studio.robots.robot import Program, Robot
@@ -127,7 +128,13 @@ def parts_of_design(robot: Robot, phi: np.ndarray) -> list[Part]:
 
 def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
     """Return the robot in every format; where its parts are printed, it shows the files that are printed."""
-    spec, scene, robot = task.spec(phi), task.scene(phi), robot_of(task)
+    robot = robot_of(task)
+    spec, scene = task.spec(phi), task.scene(phi)
+    _add_start(task, scene, phi)
+    hold_keyframes(spec)
+    hold_keyframes(scene)
+    zero = robot.zero(phi)
+    spec, scene = moved_zero(spec, zero), moved_zero(scene, zero)
     model, name = spec.compile(), robot.file_name
     worn = parts if robot.printed else []
     shown = stl_files(worn)
@@ -137,14 +144,13 @@ def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Seq
     if {"mjcf", "urdf"} & set(formats):
         files |= shown
     if "mjcf" in formats:
-        _add_start(task, scene, phi)
         plain = write_mjcf(dress(spec, worn, shown), f"{name}.xml", "meshes", shown)
         files |= plain | write_mjcf(dress(scene, worn, shown), "scene.xml", "meshes_scene", shown)
         files[f"{name}.mjz"] = zipped({"model.xml": plain.pop(f"{name}.xml"), **plain, **shown})
     if "urdf" in formats:
         visuals = {link: part.stl_path for part in worn for link in part.links}
-        files |= write_urdf(model, f"{name}.urdf", task.name, visuals)
-        files["control.json"] = _json(control_settings(model, task.scene(phi).compile()))
+        files |= write_urdf(model, f"{name}.urdf", task.name, visuals, robot.speeds)
+        files["control.json"] = _json(control_settings(model, scene.compile()))
     if "3mf" in formats:
         files |= {f"3mf/{part.name}.3mf": three_mf(part) for part in parts}
     if "glb" in formats:
@@ -155,11 +161,11 @@ def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Seq
 
 
 def _add_start(task: Task, scene: mujoco.MjSpec, phi: np.ndarray) -> None:
-    """Give the scene a keyframe: a start of the task."""
+    """Give the scene a keyframe: a start of the task, which its servos hold."""
     if any(key.name == "start" for key in scene.keys):
         return
-    state = task.reset(task.hw_phy(phi), 1, np.random.default_rng(0))
-    scene.add_key(name="start", qpos=task.qpos(state)[0])
+    qpos = task.qpos(task.reset(task.hw_phy(phi), 1, np.random.default_rng(0)))[0]
+    scene.add_key(name="start", qpos=qpos, ctrl=servo_targets(scene.compile(), qpos))
 
 
 def _papers(

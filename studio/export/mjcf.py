@@ -1,11 +1,19 @@
-"""A MuJoCo model as MJCF text with exact numbers, and the mesh files it refers to."""
+"""A MuJoCo model as MJCF text with exact numbers, in words that old versions read too, and the meshes it refers to."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path, PurePosixPath
+from xml.etree import ElementTree
 
 import mujoco
 
 from studio.export.errors import ExportError
+
+OLD = "3.2"
+"""The oldest MuJoCo whose words are known: those of 3.2.7, as its `mj_printSchema` gives them, are in the file below."""
+_WORDS = Path(__file__).parent / "shipped" / "mjcf_3_2.json"
+_BODIES = ("worldbody", "body", "frame", "replicate")
 
 
 def write_mjcf(
@@ -28,9 +36,66 @@ def write_mjcf(
     try:
         spec.assets = {**shared, **own}
         spec.compile()
-        return {name: spec.to_xml().encode(), **own}
+        return {name: in_old_words(spec.to_xml()), **own}
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
+
+
+def in_old_words(text: str) -> bytes:
+    """Return MJCF with position servos as such, and without sensors that MuJoCo 3.2 does not know: they move nothing."""
+    root = ElementTree.fromstring(text)
+    for actuator in root.findall("actuator/general"):
+        _name_servo(actuator)
+    for sensors in root.findall("sensor"):
+        for sensor in [*sensors]:
+            if f"sensor/{sensor.tag}" not in _old_words():
+                sensors.remove(sensor)
+        if not len(sensors):
+            root.remove(sensors)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="utf-8") + b"\n"
+
+
+def oldest_reader(texts: Iterable[bytes]) -> str:
+    """Return the oldest MuJoCo that knows every word of some MJCF files: 3.2, or the one that wrote them."""
+    new = any(new_words(ElementTree.fromstring(text)) for text in texts)
+    return mujoco.__version__ if new else OLD
+
+
+def new_words(root: ElementTree.Element) -> list[str]:
+    """Return the elements and attributes of MJCF that MuJoCo 3.2 does not know."""
+    known, new, todo = _old_words(), list[str](), [("", root)]
+    while todo:
+        parent, element = todo.pop()
+        word = f"{'body' if parent in _BODIES else parent}/{element.tag}"
+        if word not in known:
+            new.append(word)
+            continue
+        new += [f"{word} {name}" for name in element.keys() if name not in known[word]]
+        todo += [(element.tag, child) for child in element]
+    return new
+
+
+def _name_servo(actuator: ElementTree.Element) -> None:
+    """Turn the general form in which MuJoCo writes a position servo into the word for it."""
+    gain = [float(x) for x in actuator.get("gainprm", "0").split()]
+    bias = [float(x) for x in actuator.get("biasprm", "0").split()]
+    plain = {"dyntype", "dynprm", "gaintype", "actdim"}.isdisjoint(actuator.keys())
+    servo = len(gain) == 1 and len(bias) == 3 and bias[:2] == [0.0, -gain[0]] and bias[2] <= 0
+    if actuator.get("biastype") != "affine" or not servo or not plain or actuator.get("input", "pos") != "pos":
+        return
+    kp, kv = actuator.attrib["gainprm"], actuator.attrib["biasprm"].split()[2].removeprefix("-")
+    for name in ("input", "biastype", "gainprm", "biasprm"):
+        actuator.attrib.pop(name, None)
+    actuator.tag = "position"
+    actuator.attrib |= {"kp": kp, "kv": kv}
+
+
+@cache
+def _old_words() -> dict[str, frozenset[str]]:
+    """Return the attributes of each element that MuJoCo 3.2 knows, by "parent/element"."""
+    words: dict[str, str] = json.loads(_WORDS.read_bytes())
+    return {word: frozenset(names.split()) for word, names in words.items()}
 
 
 def _mesh_file(spec: mujoco.MjSpec, file: str) -> bytes:

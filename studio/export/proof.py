@@ -21,6 +21,7 @@ from studio.export.policy import Score, read_policy, score
 from studio.export.provenance import Provenance
 from studio.export.readings import collision_box, read_mjcf
 from studio.export.verify import verify
+from studio.export.zero import moved_zero
 from studio.robots.chooser import robot_of
 from studio.robots.geometry import moments
 from studio.robots.parts import BASE, MILLIMETRE, body_of
@@ -61,8 +62,9 @@ def prove_robot(
     files: Mapping[str, bytes], design: Design, task: Task, phi: np.ndarray, *, only_mujoco: bool = False
 ) -> list[Check]:
     """Compare MJCF, URDF and parts with the robot that phi (d,) makes."""
-    model, printed = task.spec(phi).compile(), robot_of(task).printed
-    checks = verify(files, model, robot=design.robot, only_mujoco=only_mujoco)
+    robot = robot_of(task)
+    model, printed = task.spec(phi).compile(), robot.printed
+    checks = verify(files, model, robot=design.robot, zero=robot.zero(phi), only_mujoco=only_mujoco)
     for part in design.parts:
         checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed))
     if "assembly.glb" in files:
@@ -78,7 +80,7 @@ def prove_policy(
     try:
         with tempfile.TemporaryDirectory() as folder:
             unpack(files, Path(folder))
-            scene = mujoco.MjSpec.from_file(str(Path(folder) / "scene.xml"))
+            scene = _as_simulated(mujoco.MjSpec.from_file(str(Path(folder) / "scene.xml")), task, phi)
             reloaded = scene.compile()
             found = score(task, read_policy(files["policy.npz"]), task.hw_phy_from(scene, phi), episodes, "reloaded")
     except Exception as error:  # as with every other file
@@ -93,6 +95,20 @@ def prove_policy(
     if not promised:
         checks.append(Check(f"{name}: runs", 0.0, 0.0, f"{found.success:.1%} of {found.episodes} episodes"))
     return found, checks
+
+
+def _as_simulated(scene: mujoco.MjSpec, task: Task, phi: np.ndarray) -> mujoco.MjSpec:
+    """Return a scene that was read from its file with the zero of the task's joints, and the task's sensors."""
+    scene = moved_zero(scene, {name: -value for name, value in robot_of(task).zero(phi).items()})
+    known = {sensor.name for sensor in scene.sensors}
+    for sensor in task.scene(phi).sensors:
+        if sensor.name not in known:
+            copied = scene.add_sensor(
+                name=sensor.name, type=sensor.type, objtype=sensor.objtype, objname=sensor.objname,
+                reftype=sensor.reftype, refname=sensor.refname, intprm=sensor.intprm,
+            )  # fmt: skip
+            copied.dim = sensor.dim
+    return scene
 
 
 def _compare_scenes(simulated: mujoco.MjModel, reloaded: mujoco.MjModel) -> Check:

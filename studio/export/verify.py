@@ -29,9 +29,12 @@ def verify(
     model: mujoco.MjModel | None = None,
     *,
     robot: str = "robot",
+    zero: Mapping[str, float] | None = None,
     only_mujoco: bool = False,
 ) -> list[Check]:
     """Compare `robot`.xml, .mjz and .urdf of `files` with `model`, or with one another if there is none.
+
+    `zero` holds the values at which the model's joints, by name, are where the files have them at 0.
 
     A file that can't be read gives a failed check, not an exception.
     """
@@ -41,13 +44,13 @@ def verify(
             check_path(path)
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_bytes(content)
-        checks = _read_and_compare(folder, robot, model, only_mujoco)
+        checks = _read_and_compare(folder, robot, None if model is None else read_mjcf(model, zero), only_mujoco)
     if f"{robot}.urdf" in files:
         checks.append(_check_urdf(f"{robot}.urdf", files))
     return checks
 
 
-def _read_and_compare(folder: Path, robot: str, model: mujoco.MjModel | None, only_mujoco: bool) -> list[Check]:
+def _read_and_compare(folder: Path, robot: str, reference: Reading | None, only_mujoco: bool) -> list[Check]:
     xml, archive, urdf = (folder / f"{robot}{ending}" for ending in (".xml", ".mjz", ".urdf"))
     readers: list[tuple[str, Callable[[], Reading]]] = []
     if xml.exists():
@@ -59,7 +62,6 @@ def _read_and_compare(folder: Path, robot: str, model: mujoco.MjModel | None, on
         if not only_mujoco and importlib.util.find_spec("yourdfpy"):
             readers.append((f"{urdf.name} in yourdfpy", lambda: read_yourdfpy(urdf)))
     checks = []
-    reference = None if model is None else read_mjcf(model)
     for name, read in readers:
         try:
             reading = read()

@@ -38,6 +38,17 @@ class ArmRobot:
         """Return the pins and drives of the joints."""
         return [bolted.pins(parts, ARM_SCALE), bolted.drives(parts)]
 
+    def zero(self, phi: np.ndarray) -> dict[str, float]:
+        """Return nothing: stretched out along x the arm stands still, and its joints turn all the way round."""
+        return {}
+
+    @property
+    def speeds(self) -> dict[str, float]:
+        """Speed of each joint (rad/s): its largest change in a control step, over the step's time."""
+        units = self.task.action_units
+        speeds = [] if units is None else (units / self.task.control_dt).tolist()
+        return {f"joint_{i}": speed for i, speed in enumerate(speeds, start=1)}
+
     def program(self, phi: np.ndarray) -> Program:
         """Return the program that runs the policy in MuJoCo's kinematics."""
         return Program("run_arm.py", units_of(self.task))

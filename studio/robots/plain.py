@@ -50,6 +50,24 @@ class PlainRobot:
         """Return nothing: a model does not tell what is bought."""
         return []
 
+    def zero(self, phi: np.ndarray) -> dict[str, float]:
+        """Return nothing: what a stranger's task calls zero stays zero."""
+        return {}
+
+    @property
+    def speeds(self) -> dict[str, float]:
+        """Speed of each joint (m/s, rad/s) that the task moves by itself; with actuators nothing is known of it."""
+        model, units = self.task.spec(self.task.design_space.initial).compile(), self.task.action_units
+        if units is None or model.nu:
+            return {}
+        speeds = units / self.task.control_dt
+        return {
+            model.joint(j).name: float(speeds[dof])
+            for j in range(model.njnt)
+            if (dof := int(model.jnt_dofadr[j])) < len(speeds)
+            and model.jnt_type[j] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+        }
+
     def program(self, phi: np.ndarray) -> Program:
         """Return a program that runs the policy in MuJoCo where that does as the task does, else one for any task."""
         if reason := why_not_in_mujoco(self.task, phi):
