@@ -17,6 +17,7 @@ import numpy as np
 from studio.export.archive import check_path
 from studio.export.check import Check, relative, worst
 from studio.export.readings import Reading, read_mjcf, read_urdf, read_yourdfpy
+from studio.export.urdf import WORLD
 
 POSTURES = 100
 POSITION_ALLOWED = 1e-9  # m
@@ -127,16 +128,15 @@ def _load(path: Path) -> mujoco.MjModel:
 
 
 def _check_urdf(path: str, files: Mapping[str, bytes]) -> Check:
-    """Check what readers let pass: positive masses, possible inertias, limits in order, unique names, meshes there."""
+    """Check what most readers let pass: masses and inertias that can be, limits that hold zero, names, meshes."""
     name = f"{path}: valid"
     try:
         root = ElementTree.fromstring(files[path])
     except ElementTree.ParseError as error:
         return Check(name, math.inf, 0.0, f"no XML: {error}")
     faults = [*_faults_of_inertials(root), *_faults_of_joints(root)]
-    for kind in ("link", "joint"):
-        names = [element.get("name", "") for element in root.findall(kind)]
-        faults += [f"two {kind}s are named {n}" for n in sorted({n for n in names if names.count(n) > 1})]
+    names = [element.get("name", "") for element in [*root.findall("link"), *root.findall("joint")]]
+    faults += [f"two links or joints are named {n}" for n in sorted({n for n in names if names.count(n) > 1})]
     meshes = {element.get("filename", "") for element in root.iter("mesh")}
     faults += [f"mesh {mesh} is missing" for mesh in sorted(meshes - set(files))]
     return Check(name, float(len(faults)), 0.0, "; ".join(faults))
@@ -147,6 +147,7 @@ def _faults_of_inertials(root: ElementTree.Element) -> list[str]:
     for link in root.findall("link"):
         mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
         if mass is None or inertia is None:
+            faults += [f"{link.get('name')} has no inertial"] * (link.get("name") != WORLD)
             continue
         if not _read(mass, "value") > 0:
             faults.append(f"{link.get('name')} has no positive mass")
@@ -165,11 +166,15 @@ def _faults_of_joints(root: ElementTree.Element) -> list[str]:
         faults.append(f"the links are no tree (roots: {', '.join(roots) or 'none'})")
     for joint in root.findall("joint"):
         limit = joint.find("limit")
+        if limit is not None and not all(0 < _read(limit, name) < math.inf for name in ("effort", "velocity")):
+            faults.append(f"{joint.get('name')} has no positive effort and velocity")
         if joint.get("type") not in ("revolute", "prismatic"):
             continue
         lo, hi = (math.nan if limit is None else _read(limit, end) for end in ("lower", "upper"))
         if not lo < hi:
             faults.append(f"{joint.get('name')} has no limits with lower < upper")
+        elif not lo <= 0 <= hi:
+            faults.append(f"zero, where readers begin, is outside the limits of {joint.get('name')}")
     return faults
 
 

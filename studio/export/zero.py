@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-_SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def nearest_zero(model: mujoco.MjModel) -> np.ndarray:
@@ -35,7 +35,7 @@ def moved_zero(spec: mujoco.MjSpec, zero: Mapping[str, float]) -> mujoco.MjSpec:
     for name, value in zero.items():
         joint = spec.joint(name)
         body = joint.parent
-        if len(body.joints) != 1 or joint.type not in _SCALAR:
+        if len(body.joints) != 1 or int(joint.type) not in _SCALAR:
             raise ValueError(f"the zero of {name} can't be moved: only a hinge or slide that is alone on its body's")
         _move_body(body, joint, value)
         joint.range = np.subtract(joint.range, value)

@@ -65,7 +65,7 @@ class PlainRobot:
             model.joint(j).name: float(speeds[dof])
             for j in range(model.njnt)
             if (dof := int(model.jnt_dofadr[j])) < len(speeds)
-            and model.jnt_type[j] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+            and int(model.jnt_type[j]) in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         }
 
     def program(self, phi: np.ndarray) -> Program:
