@@ -23,7 +23,7 @@ from studio.export.control import control_settings
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
 from studio.export.meshes import glb, start_posture, three_mf
-from studio.export.mjcf import oldest_reader, write_mjcf
+from studio.export.mjcf import write_mjcf
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
 from studio.export.provenance import provenance_of

@@ -11,7 +11,7 @@ import mujoco
 from studio.export.errors import ExportError
 
 OLD = "3.2"
-"""The oldest MuJoCo whose words are known: those of 3.2.7, as its `mj_printSchema` gives them, are in the file below."""
+"""The oldest MuJoCo whose words are known: the file below has those of 3.2.7, as its `mj_printSchema` gives them."""
 _WORDS = Path(__file__).parent / "shipped" / "mjcf_3_2.json"
 _BODIES = ("worldbody", "body", "frame", "replicate")
 
@@ -42,7 +42,7 @@ def write_mjcf(
 
 
 def in_old_words(text: str) -> bytes:
-    """Return MJCF with position servos as such, and without sensors that MuJoCo 3.2 does not know: they move nothing."""
+    """Return MJCF with position servos called so, and without sensors that MuJoCo 3.2 lacks, which move nothing."""
     root = ElementTree.fromstring(text)
     for actuator in root.findall("actuator/general"):
         _name_servo(actuator)
@@ -71,7 +71,7 @@ def new_words(root: ElementTree.Element) -> list[str]:
         if word not in known:
             new.append(word)
             continue
-        new += [f"{word} {name}" for name in element.keys() if name not in known[word]]
+        new += [f"{word} {name}" for name in element.attrib if name not in known[word]]
         todo += [(element.tag, child) for child in element]
     return new
 

@@ -1,14 +1,14 @@
 """One robot as different readers understand its files: MuJoCo, yourdfpy, pinocchio, pybullet."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from studio.export.urdf import NO_LIMIT, free_base, joint_effort, joint_limits, link_origin, urdf_names
+from studio.export.urdf import CARRIER_MASS, NO_LIMIT, free_base, joint_effort, joint_limits, link_origin, urdf_names
 from studio.export.zero import zero_of
 
 
@@ -39,7 +39,9 @@ def read_mjcf(model: mujoco.MjModel, zero: Mapping[str, float] | None = None) ->
     """
     names = urdf_names(model)
     base = free_base(model)
-    return _read_mujoco(model, names.links, names.joints, names.sites, base or 0, zero_of(model, zero or {}))
+    reading = _read_mujoco(model, names.links, names.joints, names.sites, base or 0, zero_of(model, zero or {}))
+    frames = [names.links[b] for b in range(model.nbody) if model.body_mass[b] <= 0 and (b or base is None)]
+    return replace(reading, masses=reading.masses | dict.fromkeys(frames, CARRIER_MASS))
 
 
 def read_urdf(model: mujoco.MjModel) -> Reading:

@@ -1,4 +1,4 @@
-"""What a person does first with a file: load it, reset it, press play. The robot must be allowed to stand there, and stay.
+"""What a person does first with a file: load it, reset it, press play. The robot must be allowed to stand, and stay.
 
 MuJoCo begins where all joints are at zero, without a command for any servo, or in the keyframe "start".
 """

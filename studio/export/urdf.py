@@ -22,9 +22,10 @@ from studio.robots.stl import stl
 
 NO_LIMIT = 1e6
 """The number that stands in for a limit which the task does not set, where URDF demands one (N, N m, m/s, rad/s, m)."""
-CARRIER_MASS = 1e-12
-"""Mass (kg) and inertia (kg m^2) of links that are only a frame: without mass, readers refuse a moving link or make it
-a kilogram."""
+FRAME_MASS = 1e-12
+"""Mass (kg) and inertia (kg m^2) of links that are only a frame: without any, readers make it a kilogram."""
+CARRIER_MASS = 2e-6
+"""Mass (kg) of such a link where it carries others: with less than 1e-6, Gazebo drops it with all that it carries."""
 MESHES = "meshes_urdf"
 WORLD = "world"
 """Name of the root link of a robot that stands fixed, which readers know."""
@@ -110,7 +111,7 @@ def write_urdf(
         if visuals and names.links[body] in visuals:
             _add_part(link, model, body, visuals[names.links[body]], origin)
         for site in np.flatnonzero(model.site_bodyid == body):
-            _add_carrier(root, names.sites[site])
+            _add_frame(root, names.sites[site], FRAME_MASS)
             _add_joint(
                 root, _fixed(names.sites[site]), "fixed", names.links[body], names.sites[site],
                 model.site_pos[site] - origin, model.site_quat[site],
@@ -142,7 +143,7 @@ def _add_joints(
         last = joint == joints[-1]
         child = names.links[body] if last else f"{names.links[body]}__{names.joints[joint]}"
         if not last:
-            _add_carrier(root, child)
+            _add_frame(root, child, CARRIER_MASS)
         speed = speeds.get(model.joint(joint).name, NO_LIMIT)
         _add_moving_joint(root, model, joint, names.joints[joint], parent, child, position, rotation, speed)
         parent, position, rotation = child, np.zeros(3), _UNTURNED
@@ -233,21 +234,21 @@ def _add_joint(
     return element
 
 
-def _add_carrier(root: ElementTree.Element, name: str) -> None:
-    _weigh_nothing(ElementTree.SubElement(ElementTree.SubElement(root, "link", name=name), "inertial"))
+def _add_frame(root: ElementTree.Element, name: str, mass: float) -> None:
+    _weigh(ElementTree.SubElement(ElementTree.SubElement(root, "link", name=name), "inertial"), mass)
 
 
-def _weigh_nothing(inertial: ElementTree.Element) -> None:
-    """Give a link next to no mass: Gazebo drops one without any, with all it carries."""
+def _weigh(inertial: ElementTree.Element, mass: float) -> None:
+    """Give a link that is only a frame next to no mass, and even less inertia."""
     _add_origin(inertial, np.zeros(3), _UNTURNED)
-    ElementTree.SubElement(inertial, "mass", value=_number(CARRIER_MASS))
-    _add_inertia(inertial, np.full(3, CARRIER_MASS))
+    ElementTree.SubElement(inertial, "mass", value=_number(mass))
+    _add_inertia(inertial, np.full(3, FRAME_MASS))
 
 
 def _add_inertial(link: ElementTree.Element, model: mujoco.MjModel, body: int, origin: np.ndarray) -> None:
     inertial = ElementTree.SubElement(link, "inertial")
     if model.body_mass[body] <= 0:
-        _weigh_nothing(inertial)
+        _weigh(inertial, CARRIER_MASS)
         return
     _add_origin(inertial, model.body_ipos[body] - origin, model.body_iquat[body])
     ElementTree.SubElement(inertial, "mass", value=_number(model.body_mass[body]))
@@ -317,7 +318,7 @@ def _shapes(model: mujoco.MjModel, geom: int) -> Iterator[tuple[float, str, dict
 
 
 def _add_drives(root: ElementTree.Element, model: mujoco.MjModel, names: Names) -> None:
-    """Add a transmission for each servo, of which Drake makes an actuator, and all of them as one ros2_control system."""
+    """Add a transmission for each servo, of which Drake makes an actuator, and all as one ros2_control system."""
     block = ElementTree.SubElement(root, "ros2_control", name="servos", type="system")
     plugin = ElementTree.SubElement(ElementTree.SubElement(block, "hardware"), "plugin")
     plugin.text = "mock_components/GenericSystem"  # until real ones have a driver

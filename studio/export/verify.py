@@ -23,6 +23,8 @@ POSTURES = 100
 POSITION_ALLOWED = 1e-9  # m
 ROTATION_ALLOWED = 1e-9
 RELATIVE_ALLOWED = 1e-9
+DROPPED_MASS = 1e-6
+"""kg: Gazebo takes a link of no more than this for one without mass."""
 
 
 def verify(
@@ -144,6 +146,8 @@ def _check_urdf(path: str, files: Mapping[str, bytes]) -> Check:
 
 def _faults_of_inertials(root: ElementTree.Element) -> list[str]:
     faults = []
+    moving = [joint.find("parent") for joint in root.findall("joint") if joint.get("type") != "fixed"]
+    carriers = {parent.get("link") for parent in moving if parent is not None}
     for link in root.findall("link"):
         mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
         if mass is None or inertia is None:
@@ -151,6 +155,8 @@ def _faults_of_inertials(root: ElementTree.Element) -> list[str]:
             continue
         if not _read(mass, "value") > 0:
             faults.append(f"{link.get('name')} has no positive mass")
+        if link.get("name") in carriers and _read(mass, "value") <= DROPPED_MASS:
+            faults.append(f"{link.get('name')} is so light that Gazebo drops it with all it carries")
         small, middle, large = sorted(_read(inertia, axis) for axis in ("ixx", "iyy", "izz"))
         if not (small > 0 and small + middle >= large * (1 - RELATIVE_ALLOWED)):
             faults.append(f"{link.get('name')} has an impossible inertia")

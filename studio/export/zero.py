@@ -18,7 +18,7 @@ def nearest_zero(model: mujoco.MjModel) -> np.ndarray:
 
 
 def zero_of(model: mujoco.MjModel, zero: Mapping[str, float]) -> np.ndarray:
-    """Return for each joint (njnt,) the value which files call zero: that of `zero`, or else the nearest allowed one."""
+    """Return for each joint (njnt,) the value which files call zero: that of `zero`, or the nearest allowed one."""
     found = nearest_zero(model)
     for name, value in zero.items():
         found[model.joint(name).id] = value

@@ -76,7 +76,7 @@ class Robot(Protocol):
 
     @property
     def speeds(self) -> Mapping[str, float]:
-        """Fastest speed (m/s, rad/s) that the task asks of each joint, by its name; without an entry there is no limit."""
+        """Fastest speed (m/s, rad/s) that the task asks of each joint, by its name; no limit without an entry."""
         ...
 
     def program(self, phi: np.ndarray) -> Program:
