@@ -30,7 +30,9 @@ from studio.new_run import StartRun
 from studio.runs import Runs
 
 MAX_EPISODE = 256 << 20
-Formats = Annotated[list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step; repeated or with commas")]
+Formats = Annotated[
+    list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step, ros, ros2_control; repeated or with commas")
+]
 OtherPhi = Annotated[list[float] | None, Query(description="All values of another design in its place; repeated")]
 _FILE = {"schema": {"type": "string", "format": "binary"}}
 _DESIGN_BODY = {

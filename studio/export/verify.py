@@ -7,7 +7,7 @@ centres and moments of inertia, joint limits, and where every body and site stan
 import importlib.util
 import math
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,7 +16,9 @@ import numpy as np
 
 from studio.export.archive import check_path
 from studio.export.check import Check, relative, worst
+from studio.export.errors import ExportError
 from studio.export.readings import Reading, read_mjcf, read_urdf, read_yourdfpy
+from studio.export.ros import FOLDER, plain_urdf
 from studio.export.urdf import WORLD
 
 POSTURES = 100
@@ -48,9 +50,15 @@ def verify(
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_bytes(content)
         checks = _read_and_compare(folder, robot, None if model is None else read_mjcf(model, zero), only_mujoco)
-    if f"{robot}.urdf" in files:
-        checks.append(_check_urdf(f"{robot}.urdf", files))
+    for path in (f"{robot}.urdf", *_in_packages(files, robot)):
+        if path in files:
+            checks.append(_check_urdf(path, files))
     return checks
+
+
+def _in_packages(files: Iterable[str], robot: str) -> list[str]:
+    """Return the paths of the URDFs in ROS packages."""
+    return [path for path in files if path.startswith(f"{FOLDER}/") and path.endswith(f"/urdf/{robot}.urdf")]
 
 
 def _read_and_compare(folder: Path, robot: str, reference: Reading | None, only_mujoco: bool) -> list[Check]:
@@ -64,6 +72,8 @@ def _read_and_compare(folder: Path, robot: str, reference: Reading | None, only_
         readers.append((f"{urdf.name} in MuJoCo", lambda: read_urdf(_load(urdf))))
         if not only_mujoco and importlib.util.find_spec("yourdfpy"):
             readers.append((f"{urdf.name} in yourdfpy", lambda: read_yourdfpy(urdf)))
+    for path in _in_packages((p.relative_to(folder).as_posix() for p in folder.rglob("*.urdf")), robot):
+        readers.append((f"{path} in MuJoCo", lambda path=path: _read_packaged(folder, path)))
     checks = []
     for name, read in readers:
         try:
@@ -81,6 +91,13 @@ def _read_and_compare(folder: Path, robot: str, reference: Reading | None, only_
         except ValueError as error:
             checks.append(Check("scene.xml in MuJoCo", math.inf, 0.0, f"can't be read: {error}"))
     return checks
+
+
+def _read_packaged(folder: Path, path: str) -> Reading:
+    """Read the URDF of a ROS package, with its meshes by plain paths."""
+    plain = folder / "packaged.urdf"
+    plain.write_bytes(plain_urdf(path, (folder / path).read_bytes()))
+    return read_urdf(_load(plain))
 
 
 def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
@@ -133,9 +150,10 @@ def _check_urdf(path: str, files: Mapping[str, bytes]) -> Check:
     """Check what most readers let pass: masses and inertias that can be, limits that hold zero, names, meshes."""
     name = f"{path}: valid"
     try:
-        root = ElementTree.fromstring(files[path])
-    except ElementTree.ParseError as error:
-        return Check(name, math.inf, 0.0, f"no XML: {error}")
+        content = plain_urdf(path, files[path]) if path.startswith(f"{FOLDER}/") else files[path]
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ExportError) as error:
+        return Check(name, math.inf, 0.0, f"no URDF: {error}")
     faults = [*_faults_of_inertials(root), *_faults_of_joints(root)]
     names = [element.get("name", "") for element in [*root.findall("link"), *root.findall("joint")]]
     faults += [f"two links or joints are named {n}" for n in sorted({n for n in names if names.count(n) > 1})]

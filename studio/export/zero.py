@@ -86,7 +86,7 @@ def is_servo(actuator: mujoco.MjsActuator) -> bool:
     return at_joint and _follows(actuator.biastype, actuator.gainprm, actuator.biasprm)
 
 
-def _follows(biastype: int, gain: np.ndarray, bias: np.ndarray) -> bool:
+def _follows(biastype: int | mujoco.mjtBias, gain: np.ndarray, bias: np.ndarray) -> bool:
     """Tell whether a force is kp (target - position) - kv velocity."""
     return biastype == mujoco.mjtBias.mjBIAS_AFFINE and gain[0] > 0 and bias[0] == 0 and bias[1] == -gain[0]
 
