@@ -78,17 +78,16 @@ def new_words(root: ElementTree.Element) -> list[str]:
 
 def _name_servo(actuator: ElementTree.Element) -> None:
     """Turn the general form in which MuJoCo writes a position servo into the word for it."""
-    gain = [float(x) for x in actuator.get("gainprm", "0").split()]
-    bias = [float(x) for x in actuator.get("biasprm", "0").split()]
+    gain, bias = actuator.get("gainprm", "1").split(), [*actuator.get("biasprm", "0").split(), "0", "0"]
+    kp, kv = float(gain[0]), -float(bias[2])
     plain = {"dyntype", "dynprm", "gaintype", "actdim"}.isdisjoint(actuator.keys())
-    servo = len(gain) == 1 and len(bias) == 3 and bias[:2] == [0.0, -gain[0]] and bias[2] <= 0
+    servo = len(gain) == 1 and [float(x) for x in bias[:2]] == [0.0, -kp] and kv >= 0 and not any(map(float, bias[3:]))
     if actuator.get("biastype") != "affine" or not servo or not plain or actuator.get("input", "pos") != "pos":
         return
-    kp, kv = actuator.attrib["gainprm"], actuator.attrib["biasprm"].split()[2].removeprefix("-")
     for name in ("input", "biastype", "gainprm", "biasprm"):
         actuator.attrib.pop(name, None)
     actuator.tag = "position"
-    actuator.attrib |= {"kp": kp, "kv": kv}
+    actuator.attrib |= {"kp": gain[0], "kv": bias[2].removeprefix("-")}
 
 
 @cache

@@ -10,7 +10,7 @@ from morph_core.tasks.printed import ARM_SCALE
 from studio.robots import bolted, geometry
 from studio.robots.parts import BASE, MILLIMETRE, Part, parts_of
 from studio.robots.robot import Bought, Program
-from studio.robots.units import units_of
+from studio.robots.units import speeds_of, units_of
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,7 @@ class ArmRobot:
     @property
     def speeds(self) -> dict[str, float]:
         """Speed of each joint (rad/s): its largest change in a control step, over the step's time."""
-        units = self.task.action_units
-        speeds = [] if units is None else (units / self.task.control_dt).tolist()
-        return {f"joint_{i}": speed for i, speed in enumerate(speeds, start=1)}
+        return {f"joint_{i}": speed for i, speed in enumerate(speeds_of(self.task), start=1)}
 
     def program(self, phi: np.ndarray) -> Program:
         """Return the program that runs the policy in MuJoCo's kinematics."""

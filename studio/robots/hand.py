@@ -11,7 +11,7 @@ from morph_core.tasks.simulation import SUBSTEPS
 from studio.robots import bolted, geometry
 from studio.robots.parts import MILLIMETRE, Part, parts_of
 from studio.robots.robot import Bought, Program
-from studio.robots.units import units_of
+from studio.robots.units import speeds_of, units_of
 
 SERVO_MASS = 13.4  # g, of an MG90S
 
@@ -55,8 +55,7 @@ class HandRobot:
     @property
     def speeds(self) -> dict[str, float]:
         """Speed of each joint (m/s, rad/s): the largest change of its target, over the time of a control step."""
-        units = self.task.action_units
-        return {} if units is None else dict(zip(self._joints, (units / self.task.control_dt).tolist(), strict=True))
+        return dict(zip(self._joints, speeds_of(self.task), strict=True))
 
     def program(self, phi: np.ndarray) -> Program:
         """Return the program that runs the policy in MuJoCo's physics, where joints are measured from `zero`."""

@@ -12,7 +12,7 @@ from studio.robots import geometry
 from studio.robots.parts import MILLIMETRE, Part, free_name, link_names
 from studio.robots.robot import Bought, Program
 from studio.robots.shapes import solid_of
-from studio.robots.units import units_of
+from studio.robots.units import speeds_of, units_of
 
 OFF_ALLOWED = 0.01
 """Largest distance between where MuJoCo and the task take the robot in one control step, as a share of the way."""
@@ -57,12 +57,11 @@ class PlainRobot:
     @property
     def speeds(self) -> dict[str, float]:
         """Speed of each joint (m/s, rad/s) that the task moves by itself; with actuators nothing is known of it."""
-        model, units = self.task.spec(self.task.design_space.initial).compile(), self.task.action_units
-        if units is None or model.nu:
+        model, speeds = self.task.spec(self.task.design_space.initial).compile(), speeds_of(self.task)
+        if model.nu:
             return {}
-        speeds = units / self.task.control_dt
         return {
-            model.joint(j).name: float(speeds[dof])
+            model.joint(j).name: speeds[dof]
             for j in range(model.njnt)
             if (dof := int(model.jnt_dofadr[j])) < len(speeds)
             and int(model.jnt_type[j]) in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
