@@ -353,7 +353,7 @@ BREAKS = [
     ("parts/finger_1_distal.stl", larger, "parts/finger_1_distal.stl: mass"),
     ("parts/finger_1_distal.stl", doubled, "one body"),
     ("parts/finger_1_distal.stl", lambda _: b"", "parts/finger_1_distal.stl"),
-    ("hand.xml", replaced('range="-0.9 1.7"', 'range="-0.9 1.8"'), "hand.xml in MuJoCo: joint limits"),
+    ("hand.xml", replaced('range="-2.35 0.25"', 'range="-2.35 0.35"'), "hand.xml in MuJoCo: joint limits"),
     ("hand.xml", replaced('size="0.015 ', 'size="0.016 '), "hand.xml in MuJoCo: collision extents"),
     ("hand.urdf", replaced('xyz="0.0 0.0 -', 'xyz="0.0 0.00001 -'), "hand.urdf in MuJoCo"),
     ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.016"'), "hand.urdf in MuJoCo: collision"),
