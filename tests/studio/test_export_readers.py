@@ -309,9 +309,9 @@ np.savetxt(sys.argv[2], np.concatenate(ends))
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(580)
 def test_mujoco_of_the_last_two_years_reads_the_files_and_moves_them_alike(tmp_path: Path) -> None:
-    """Its wheels go into environments of their own; without a way to the package index there is nothing to ask."""
+    """Its wheels go into folders of their own; without a way to the package index there is nothing to ask."""
     for name in sorted(TASKS):
         task = make_task(name)
         phi = task.design_space.initial
@@ -319,26 +319,27 @@ def test_mujoco_of_the_last_two_years_reads_the_files_and_moves_them_alike(tmp_p
     program = tmp_path / "ask.py"
     program.write_text(ASK)
 
-    def ends(python: Path) -> np.ndarray:
+    def ends(place: Path | None) -> np.ndarray:
         out = tmp_path / "ends.txt"
-        subprocess.run([python, program, tmp_path / "files", out], check=True, capture_output=True, timeout=120)
+        surroundings = os.environ | {"MUJOCO_GL": "disable"} | ({"PYTHONPATH": str(place)} if place else {})
+        command = [sys.executable, program, tmp_path / "files", out]
+        subprocess.run(command, check=True, capture_output=True, timeout=120, env=surroundings)
         return np.loadtxt(out)
 
-    now = ends(Path(sys.executable))
+    now = ends(None)
     asked = 0
     for version in OLD_VERSIONS:
         place = tmp_path / version
-        python = place / ("Scripts" if os.name == "nt" else "bin") / "python"
+        pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--only-binary", ":all:", "--no-compile"]
         try:
-            subprocess.run([sys.executable, "-m", "venv", place], check=True, capture_output=True, timeout=60)
-            wheel = [python, "-m", "pip", "install", "-q", "--only-binary", ":all:", f"mujoco=={version}"]
+            wheel = [*pip, "--target", place, f"mujoco=={version}"]
             subprocess.run(wheel, check=True, capture_output=True, timeout=120)
         except subprocess.SubprocessError:
             continue
-        off = np.abs(ends(python) - now)
+        off = np.abs(ends(place) - now)
         pen = np.arange(len(off)) >= 40 * 14  # the mouse is first: 40 control steps of 11 joints and 3 coordinates
         assert off[pen].max() < 1e-6
-        assert off[~pen].max() < 0.15  # rad: since 3.10, convex meshes touch at more points
+        assert off[~pen].max() < 0.15  # rad: convex meshes touch elsewhere since 4.0
         asked += 1
     if not asked:
         pytest.skip("no package index within reach")
