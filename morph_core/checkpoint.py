@@ -5,16 +5,15 @@ from collections.abc import Mapping
 
 import msgspec
 import numpy as np
-import safetensors
 import torch
-from safetensors.torch import load_file, save
+from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from morph_core import durable
+from morph_core import durable, inside
 from morph_core.design import DesignSpace
 from morph_core.method import Method
 from morph_core.protocol import Parameter
-from morph_core.run_folder import RunFolder, RunFolderError
+from morph_core.run_folder import CHECKPOINT, STATE_BYTES, WEIGHTS_BYTES, RunFolder, RunFolderError, foreign
 from morph_core.state import State, start
 from morph_core.task import Task
 
@@ -23,7 +22,11 @@ NOTES = "exploration/"
 
 
 def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None:
-    """Write checkpoints/<iteration>/; an earlier one of the same iteration stays until the new one is whole."""
+    """Write checkpoints/<iteration>/; an earlier one of the same iteration stays until the new one is whole.
+
+    Raise OSError if the disk does not take it, whichever part of it.
+    """
+    inside.folder(folder.path, "checkpoints")
     with durable.replaced_folder(folder.checkpoint(state.iteration)) as draft:
         # Not save_file: its files are their owner's alone, whatever the umask, and a group could not go on with a run.
         (draft / "weights.safetensors").write_bytes(save(tensors_of(state)))
@@ -50,16 +53,18 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
 
 def recover_checkpoints(folder: RunFolder) -> None:
     """Tidy up after a trainer that died while saving: an old checkpoint moved aside comes back, drafts go."""
-    if folder.checkpoints.is_dir():
-        durable.recover(folder.checkpoints)
+    if inside.names(folder.path, "checkpoints"):
+        durable.recover(folder.checkpoints, CHECKPOINT)
 
 
 def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Method) -> tuple[State, float]:
     """Return the state after `iteration` and the CPU seconds it took; RunFolderError says what is damaged."""
-    path = folder.checkpoint(iteration)
-    try:
-        facts = json.loads((path / "state.json").read_text())
-        tensors = load_file(path / "weights.safetensors")
+    path = f"checkpoints/{iteration:06d}"
+    with foreign(f"checkpoint {iteration} of {folder.id}"):
+        facts = json.loads(inside.read(folder.path, f"{path}/state.json", STATE_BYTES))
+        tensors = load(inside.read(folder.path, f"{path}/weights.safetensors", WEIGHTS_BYTES))
+        if facts["iteration"] != iteration:
+            raise ValueError(f"it says that it is of iteration {facts['iteration']}")
         space = DesignSpace(tuple(msgspec.convert(facts["parameters"], list[Parameter])))
         state = start(task, method, 0, space)
         state.iteration, state.env_steps = facts["iteration"], facts["env_steps"]
@@ -74,19 +79,20 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Metho
         state.memory.recall(facts.get("memory", {}))
         restore(state.modules, state.optimizers, tensors)
         state.notes.recall({k.removeprefix(NOTES): v.numpy() for k, v in tensors.items() if k.startswith(NOTES)})
-        return state, facts["cpu_seconds"]
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError, safetensors.SafetensorError) as error:
-        raise RunFolderError(f"checkpoint {iteration} of {folder.id} can't be read: {error}") from error
+        if not all_finite(state):
+            raise ValueError("a weight or phi is infinite or NaN")
+        return state, float(facts["cpu_seconds"])
 
 
-def load_newest(folder: RunFolder, task: Task, method: Method) -> tuple[State, float] | None:
-    """Return the newest checkpoint that can be read, or None; older ones stand in for a damaged one."""
+def load_newest(folder: RunFolder, task: Task, method: Method) -> tuple[tuple[State, float] | None, list[str]]:
+    """Return the newest checkpoint that can be read, or None, and why each newer one can't be: older ones stand in."""
+    damaged = []
     for iteration in reversed(folder.checkpoint_iterations()):
         try:
-            return load_checkpoint(folder, iteration, task, method)
-        except RunFolderError:
-            continue
-    return None
+            return load_checkpoint(folder, iteration, task, method), damaged
+        except RunFolderError as error:
+            damaged.append(str(error))
+    return None, damaged
 
 
 def tensors_of(state: State) -> dict[str, Tensor]:

@@ -40,9 +40,13 @@ def check_task(task: Task) -> None:
 def _check_models(task: Task, phi: np.ndarray) -> None:
     """Raise ValueError unless robot and scene compile and `qpos` fits the scene."""
     robot, scene = task.spec(phi).compile(), task.scene(phi).compile()
-    qpos = task.qpos(task.reset(task.hw_phy(phi), 1, np.random.default_rng(0)))
+    s = task.reset(task.hw_phy(phi), 1, np.random.default_rng(0))
+    qpos, simulated = task.qpos(s), (task.qvel(s), task.ctrl(s, np.zeros((1, task.action_size))))
     if qpos.shape != (1, scene.nq) or robot.nq > scene.nq:
         raise ValueError(f"{task.name}: qpos must be (1, {scene.nq}) as the scene has it, not {qpos.shape}")
+    for name, values, size in zip(("qvel", "ctrl"), simulated, (scene.nv, scene.nu), strict=True):
+        if values is not None:
+            _expect(task, name, values, (size,), rows=(1,))
 
 
 def _expect(

@@ -2,11 +2,14 @@
 
 import contextlib
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+_ASIDE = re.compile(r"\.(?P<target>[^.]+)(\.[0-9a-f]{1,8})?\.(?P<kind>draft|old)")
+"""What drafts are called, and what was moved aside: those of older versions had no random part."""
 _NAME = 40
 """How much of a target's name its drafts carry: a name that is as long as a file system allows has drafts, too."""
 
@@ -66,19 +69,22 @@ def move(source: Path, target: Path) -> None:
     _sync(source.parent)
 
 
-def recover(parent: Path) -> None:
-    """Tidy up a folder whose hidden entries are all of this module: what was moved aside comes back, drafts go.
+def recover(parent: Path, target: re.Pattern[str]) -> None:
+    """Tidy up after a writer that died: what was moved aside comes back, drafts go; nothing else is touched.
 
-    Names of folders in it must be short (40 characters) and without a dot.
+    `target` is the pattern of the names, of at most 40 characters and without a dot, that are written in `parent`.
     """
-    for path in sorted(parent.glob(".*"), key=lambda p: p.stat().st_mtime, reverse=True):
-        target = parent / path.name.split(".")[1]
-        if path.suffix == ".old" and not target.exists():
-            path.rename(target)
-        elif path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
+    found = [(path, match) for path in parent.iterdir() if (match := _ASIDE.fullmatch(path.name))]
+    for path, match in sorted(found, key=lambda entry: entry[0].lstat().st_mtime, reverse=True):
+        if not target.fullmatch(match["target"]):
+            continue
+        original = parent / match["target"]
+        if path.is_symlink() or not path.is_dir():
             path.unlink(missing_ok=True)
+        elif match["kind"] == "old" and not original.exists():
+            path.rename(original)
+        else:
+            shutil.rmtree(path, ignore_errors=True)  # follows no links
 
 
 def _beside(target: Path, suffix: str) -> Path:

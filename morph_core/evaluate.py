@@ -19,7 +19,7 @@ from morph_core.networks import Policy
 from morph_core.rollout import Rollout
 from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.task import Task
-from morph_core.what_if import Measured, mean_interval, wilson_interval
+from morph_core.what_if import Measured, wilson_interval
 
 
 def evaluate_run(
@@ -66,18 +66,14 @@ def measure(
 ) -> tuple[Measured, Rollout]:
     """Run the policy on Hw-Phy with phi (d,), and say what it came to; whatever `before_step` raises ends it early."""
     rollout = play(task, policy, phi, episodes, np.random.default_rng(seeds), sampled, before_step)
-    score, returns = score_of(task, rollout), rollout.returns.tolist()
-    terms = {
-        name: float((term * rollout.alive).sum(0).mean()) if returns else 0.0
-        for name, term in rollout.reward_terms.items()
-    }
+    score = score_of(task, rollout)
     measured = Measured(
         episodes=episodes,
         success=score.success,
         success_interval=wilson_interval(int(rollout.successes.sum()), episodes),
         episode_return=score.episode_return,
-        return_interval=mean_interval(returns, score.episode_return),
-        reward_terms=terms,
+        return_interval=score.return_interval,
+        reward_terms=score.reward_terms,
         milestones=score.milestones,
         diverged=score.diverged,
     )

@@ -30,11 +30,14 @@ from morph_core.protocol import (
     StepIteration,
     Stop,
 )
-from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, still_beating
+from morph_core.pulse import Pulse
+from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError
 
 STARTS_WITHIN = 10.0
 """Seconds after its creation in which a run has a heartbeat, unless it is queued."""
 
+LARGEST_COUNT = 2**53
+"""What every whole number of a run is below: a browser holds no larger ones."""
 _HOLDS = Pause | StepIteration
 """The commands after which a run holds."""
 
@@ -59,9 +62,13 @@ class _Steered(msgspec.Struct, frozen=True):
 class History:
     """A tail of one run folder. `poll` takes in what is new; everything else answers from memory."""
 
-    def __init__(self, folder: RunFolder) -> None:
-        """Read run.json; raise RunFolderError if the folder has no readable one."""
+    def __init__(self, folder: RunFolder, pulse: Pulse | None = None) -> None:
+        """Read run.json; raise RunFolderError if the folder has no readable one.
+
+        `pulse` is what has been seen of its heartbeats so far, by a reader who has opened it before.
+        """
         self.folder = folder
+        self.pulse = Pulse() if pulse is None else pulse
         self.record: RunRecord = folder.record()
         self.events: list[AnyEvent] = []
         self.progress: list[Progress] = []
@@ -74,17 +81,19 @@ class History:
         self._processor = ""
         self._changes: list[Acknowledged | DesignSpaceChanged] = []
         self._offset = 0
-        self._moved = time.monotonic()  # s, when the heartbeat was last seen to change
         self.in_force = self.at()
         self.poll()
 
     def poll(self) -> list[AnyEvent]:
-        """Take in what was written since the last call and return the new events."""
-        before, self.heartbeat = self.heartbeat, self.folder.heartbeat()
-        if self.heartbeat != before:
-            self._moved = time.monotonic()
+        """Take in what was written since the last call and return the new events.
+
+        Raise RunFolderError where it is no plain files, or an event does not fit the run.
+        """
+        self.heartbeat = self.folder.heartbeat()
+        self.pulse.see(self.heartbeat)
         events, self._offset = self.folder.read_events(self._offset)
         for event in events:
+            self._refuse_foreign(event)
             match event:
                 # A resume voids what came after its checkpoint.
                 case StateChanged(status="starting", iteration=iteration):
@@ -108,6 +117,23 @@ class History:
         if events:
             self.in_force = self.at()
         return events
+
+    def _refuse_foreign(self, event: AnyEvent) -> None:
+        """Raise RunFolderError where an event has another number of design parameters than the run, or no count."""
+        match event:
+            case Progress(phi=values) | Evaluation(phi=values) | DesignSpaceChanged(parameters=values):
+                given = len(values)
+            case Acknowledged(accepted=True, command=InjectDesign(phi=values)):
+                given = len(values)
+            case _:
+                given = len(self.record.parameters)
+        if given != len(self.record.parameters):
+            raise RunFolderError(
+                f"event {event.seq} of {self.folder.id} can't be read: it has {given} design parameters, and the run "
+                f"{len(self.record.parameters)}"
+            )
+        if not 0 <= event.iteration < LARGEST_COUNT:
+            raise RunFolderError(f"event {event.seq} of {self.folder.id} can't be read: it is of no iteration")
 
     def _compare_processors(self, event: StateChanged) -> None:
         if not event.processor:
@@ -165,8 +191,8 @@ class History:
         if beat is None:
             if self.state is None and self.folder.is_launched():
                 return "queued"
-            return status if time.time() - self.record.created < STARTS_WITHIN else "lost"
-        if not still_beating(beat, unchanged=time.monotonic() - self._moved):
+            return status if abs(time.time() - self.record.created) < STARTS_WITHIN else "lost"
+        if not self.pulse.is_alive:
             return beat.status if beat.status in SAID_ENDED else "lost"
         return beat.status if beat.status != "starting" else status
 

@@ -6,16 +6,26 @@ from dataclasses import dataclass, field
 
 import msgspec
 import numpy as np
-import safetensors
 import safetensors.numpy
 
+from morph_core import inside
 from morph_core.config import Projection
 from morph_core.design import DesignSpace
 from morph_core.history import History, InForce
 from morph_core.protocol import Parameter, Parent, RunRecord
-from morph_core.run_folder import ORIGIN, RunFolder, RunFolderError, find_run
+from morph_core.run_folder import (
+    ORIGIN,
+    SMALL_BYTES,
+    STATE_BYTES,
+    WEIGHTS_BYTES,
+    RunFolder,
+    RunFolderError,
+    find_run,
+    foreign,
+)
 
-_SAVED = ("state.json", "weights.safetensors")
+_SAVED = {"state.json": STATE_BYTES, "weights.safetensors": WEIGHTS_BYTES}
+"""The files of a checkpoint, and the largest that is read of each."""
 _TRIES = 5
 
 
@@ -88,21 +98,22 @@ def origin_at(history: History, iteration: int | None = None) -> Origin:
     if not saved:
         return Origin(folder.id, record, asked, None, history.at(0), 0)
     try:
-        files = _read(folder, saved[-1])
-        facts = msgspec.json.decode(files["state.json"], type=_Facts)
-        space = DesignSpace(tuple(facts.parameters))
-        in_force = InForce(space, space.check(facts.phi), facts.alpha, facts.projection)
-        weights = safetensors.numpy.load(files["weights.safetensors"])
-        if not all(np.isfinite(tensor).all() for tensor in weights.values()):
-            raise ValueError("a weight is infinite or NaN")
-        run_json = (folder.path / "run.json").read_bytes()
-    except (OSError, ValueError, safetensors.SafetensorError) as error:
+        with foreign(f"checkpoint {saved[-1]} of {folder.id}"):
+            files = _read(folder, saved[-1])
+            facts = msgspec.json.decode(files["state.json"], type=_Facts)
+            space = DesignSpace(tuple(facts.parameters))
+            in_force = InForce(space, space.check(facts.phi), facts.alpha, facts.projection)
+            weights = safetensors.numpy.load(files["weights.safetensors"])
+            if not all(np.isfinite(tensor).all() for tensor in weights.values()):
+                raise ValueError("a weight is infinite or NaN")
+            run_json = inside.read(folder.path, "run.json", SMALL_BYTES)
+    except RunFolderError as error:
         earlier = f"; the one before is of iteration {saved[-2]}" if len(saved) > 1 else ""
-        raise RunFolderError(f"checkpoint {saved[-1]} of {folder.id} can't be read: {error}{earlier}") from error
-    inside = f"{ORIGIN}/{folder.id}"
-    taken = {f"{inside}/checkpoints/{saved[-1]:06d}/{name}": content for name, content in files.items()}
+        raise RunFolderError(f"{error}{earlier}") from error
+    here = f"{ORIGIN}/{folder.id}"
+    taken = {f"{here}/checkpoints/{saved[-1]:06d}/{name}": content for name, content in files.items()}
     return Origin(
-        folder.id, record, asked, saved[-1], in_force, facts.env_steps, {f"{inside}/run.json": run_json, **taken}
+        folder.id, record, asked, saved[-1], in_force, facts.env_steps, {f"{here}/run.json": run_json, **taken}
     )
 
 
@@ -120,7 +131,8 @@ def _read(folder: RunFolder, iteration: int) -> dict[str, bytes]:
     """Return the files of a checkpoint; the trainer may be putting a newer one of the same iteration in its place."""
     for tries_left in reversed(range(_TRIES)):
         try:
-            return {name: (folder.checkpoint(iteration) / name).read_bytes() for name in _SAVED}
+            path = f"checkpoints/{iteration:06d}"
+            return {name: inside.read(folder.path, f"{path}/{name}", most) for name, most in _SAVED.items()}
         except FileNotFoundError:
             if not tries_left:
                 raise

@@ -4,7 +4,7 @@ Event = kept, in order. Snapshot = may be replaced by a newer one. Command = fro
 """
 
 import re
-from typing import Literal
+from typing import Literal, get_args
 
 import msgspec
 
@@ -174,6 +174,10 @@ class Progress(Event, tag="progress", frozen=True):
     not differentiable."""
     alpha: float | None = None
     projection: Projection | None = None
+    frozen: bool = False
+    """Whether phi stays as it is from here on, because episodes succeed often enough."""
+    control_start: int = 0
+    """The iteration after which policy and critic last started afresh; 0 for the first weights."""
     relabelled_steps: int = 0
     """Steps of Hw-Phy so far outside of trajectories and of the search for phi: fitting the proxy, relabelling, and
     what an exploration asks of designs. A run from before `search_steps` were told apart counts them here."""
@@ -185,8 +189,21 @@ class Progress(Event, tag="progress", frozen=True):
     """CPU time of the trainer since its first iteration, all resumes summed."""
 
 
+Which = Literal["median", "best", "worst", "failed"]
+"""Episodes of an evaluation that are recorded, by their return; of the failed ones, the one in the middle."""
+EPISODES: tuple[Which, ...] = get_args(Which)
+
+
+class Recorded(msgspec.Struct, frozen=True):
+    """What one of the recorded episodes came to."""
+
+    which: Which
+    episode_return: float
+    success: bool
+
+
 class Evaluation(Event, tag="evaluation", frozen=True):
-    """The policy on Hw-Phy with the present phi. `episode` names the recorded episode, relative to the run."""
+    """The policy on Hw-Phy with the present phi. `episode` names the file of its episodes, relative to the run."""
 
     iteration: int
     env_steps: int
@@ -200,6 +217,12 @@ class Evaluation(Event, tag="evaluation", frozen=True):
     diverged: int = 0
     """Sampled episodes whose simulation diverged: they count as failures."""
     episode: str | None = None
+    recorded: list[Recorded] = []
+    """Episodes that the file holds; empty where it holds a single one, as those of earlier versions do."""
+    reward_terms: dict[str, float] = {}
+    """Terms of the reward, summed over a sampled episode: their means, which add up to the return."""
+    return_interval: tuple[float, float] | None = None
+    """Interval of the mean return of the sampled policy, at 95 %; None in a run that did not write it down."""
     cpu_seconds: float = 0.0
     episodes: int | None = None
     """Number of episodes of each kind, sampled and deterministic; None in a run that did not write it down."""

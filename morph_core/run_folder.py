@@ -16,15 +16,11 @@ import msgspec
 import numpy as np
 import psutil
 
-from morph_core import durable, format_1, protocol
-from morph_core.protocol import AnyCommand, AnyEvent, Heartbeat, Order, RunRecord, Status
+from morph_core import durable, format_1, inside, protocol
+from morph_core.protocol import EPISODES, AnyCommand, AnyEvent, Heartbeat, Order, RunRecord, Status, Which
 
 HEARTBEAT_BYTES = 4096
 """The heartbeat is rewritten in place at this size, so that it needs no new block on a full disk."""
-LOST_AFTER = 60.0
-"""Seconds in which the heartbeat of a trainer on another host changes: disks that hosts share show it late."""
-LARGEST_SKEW = 60.0
-"""Seconds by which a clock of another host may differ from the one here."""
 STUDY = "study.json"
 """File beside run folders that makes them one study: its plan."""
 REPORT = "report"
@@ -35,13 +31,28 @@ LAUNCH = "launch.json"
 """File in a run folder that says by whom its trainer is started."""
 SAID_ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")
 """Statuses by which a trainer says that it has ended."""
+EVENTS_BYTES, EPISODE_BYTES, WEIGHTS_BYTES, STATE_BYTES = 512 << 20, 256 << 20, 1 << 30, 64 << 20
+"""Largest event log, recorded episode, weights and state that are read: a run of 500,000 iterations has such a log."""
+SMALL_BYTES = 4 << 20
+"""Largest of all other files of a run that is read."""
+UNPACKED_BYTES = 1 << 30
+"""Largest size of the arrays of an episode together, which its file holds compressed."""
 LONGEST_SENDER = 200
 """Largest number of characters that are kept of who sent a command."""
+_ORDER = re.compile(r"[0-9]{1,12}\.json")
+CHECKPOINT = re.compile(r"[0-9]{6,12}")
+"""What a checkpoint is called: the number of its iteration."""
+_CHOSEN = "recorded"
+"""Array of an episode file that holds the numbers of its episodes, in the order of EPISODES; -1 for none."""
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
 class RunFolderError(ValueError):
     """A run folder that is missing, foreign, corrupt, or held by another trainer; says which and why."""
+
+
+class NoEpisodeError(RunFolderError):
+    """An episode that its file does not hold; says which it holds."""
 
 
 class HeldError(RunFolderError):
@@ -93,7 +104,7 @@ class RunFolder:
         Raise RunFolderError if it is missing, foreign, damaged, or of a format newer than this version.
         """
         try:
-            written = (self.path / "run.json").read_bytes()
+            written = inside.read(self.path, "run.json", SMALL_BYTES)
             if (found := protocol.format_of(written)) > protocol.FORMAT:
                 raise RunFolderError(
                     f"run.json of {self.id} has format {found}; this version knows up to {protocol.FORMAT}: "
@@ -102,8 +113,10 @@ class RunFolder:
             record = protocol.decode_record(written)
         except FileNotFoundError:
             raise RunFolderError(f"{self.id} has no run.json: not a run folder") from None
-        except (OSError, msgspec.DecodeError) as error:
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise RunFolderError(f"run.json of {self.id} can't be read: {error}") from error
+        if not record.parameters:
+            raise RunFolderError(f"run.json of {self.id} names no design parameter: a run has at least one")
         if record.format == 1:
             return msgspec.structs.replace(record, config=format_1.translated(record.config))
         return record
@@ -112,41 +125,51 @@ class RunFolder:
         """Return whole events from byte `offset` on, and the offset to go on from.
 
         A torn last line is left for the next call; a line that is no event (a newer version's, or damaged) is skipped.
+        Raise RunFolderError where the log is no plain file of a sensible size, or can't be read.
         """
+        events: list[AnyEvent] = []
         try:
-            with self.events.open("rb") as file:
-                file.seek(offset)
-                text = file.read()
+            for text in inside.whole_lines(self.path, "events.jsonl", offset, EVENTS_BYTES):
+                offset += len(text)
+                for line in text.splitlines():
+                    with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                        events.append(protocol.decode_event(line))
         except FileNotFoundError:
             return [], offset
-        whole = text.rfind(b"\n") + 1
-        events = []
-        for line in text[:whole].splitlines():
-            with contextlib.suppress(msgspec.DecodeError):
-                events.append(protocol.decode_event(line))
-        return events, offset + whole
+        except OSError as error:
+            raise RunFolderError(f"events.jsonl of {self.id} can't be read: {error}") from error
+        return events, offset
 
     def heartbeat(self) -> Heartbeat | None:
-        """Return the last heartbeat, or None if there is none that can be read."""
+        """Return the last heartbeat, or None where none can be read; RunFolderError where it is no plain file."""
         try:
-            return protocol.decode_heartbeat((self.path / "heartbeat.json").read_bytes().rstrip())
-        except (OSError, msgspec.DecodeError):
+            return protocol.decode_heartbeat(inside.read(self.path, "heartbeat.json", SMALL_BYTES).rstrip())
+        except inside.NotPlainError as error:
+            raise RunFolderError(f"heartbeat.json of {self.id} can't be read: {error}") from error
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return None
-
-    def trainer_alive(self) -> bool:
-        """Tell whether a trainer holds this folder: its process is there, or its heartbeat is of late."""
-        beat = self.heartbeat()
-        return beat is not None and beat.status not in SAID_ENDED and still_beating(beat)
 
     def is_launched(self) -> bool:
         """Tell whether something sees to it that this run is started: a study, or a launcher."""
         return (self.path / LAUNCH).exists() or (self.path.parent / STUDY).exists()
 
     def checkpoint_iterations(self) -> list[int]:
-        """Return the iterations of whole checkpoints, ascending; half-written ones have another name."""
-        if not self.checkpoints.is_dir():
-            return []
-        return sorted(int(p.name) for p in self.checkpoints.iterdir() if p.is_dir() and re.fullmatch(r"\d{6,}", p.name))
+        """Return the iterations of checkpoints, ascending; half-written ones have another name.
+
+        Whether one can be read is known by those who read it. Raise RunFolderError where a link stands in their place.
+        """
+        return sorted(int(name) for name in self._names("checkpoints") if CHECKPOINT.fullmatch(name))
+
+    def episode_iterations(self) -> list[int]:
+        """Return the iterations of which there is a recorded episode, ascending."""
+        stems = (name.removesuffix(".npz") for name in self._names(self.episodes.name) if name.endswith(".npz"))
+        return sorted(int(stem) for stem in stems if CHECKPOINT.fullmatch(stem))
+
+    def _names(self, folder: str) -> list[str]:
+        try:
+            return inside.names(self.path, folder)
+        except OSError as error:
+            raise RunFolderError(f"{folder} of {self.id} can't be read: {error}") from error
 
     def checkpoint_up_to(self, iteration: int) -> int:
         """Return the iteration of the newest checkpoint up to `iteration`.
@@ -177,8 +200,8 @@ class RunFolder:
 
         `sender` says in words who sends it and by which way.
         """
-        self.commands.mkdir(exist_ok=True)
-        taken = [int(p.stem) for p in self.commands.iterdir() if p.stem.isdigit()]
+        inside.folder(self.path, "commands")
+        taken = [int(name[:-5]) for name in self._orders()]
         acknowledged = [e.id for e in self.read_events()[0] if isinstance(e, protocol.Acknowledged)]
         number = max(taken + acknowledged, default=0) + 1
         while True:
@@ -194,21 +217,15 @@ class RunFolder:
 
     def pending(self) -> Iterator[tuple[Path, Order | None]]:
         """Yield the inbox in order, with None for a file that is no order; the trainer removes what it has taken."""
-        if not self.commands.is_dir():
-            return
-        for path in sorted(self.commands.glob("[0-9]*.json")):
+        for name in self._orders():
+            path = self.commands / name
             try:
-                yield path, protocol.decode_order(path.read_bytes())
-            except (OSError, msgspec.DecodeError):
+                yield path, protocol.decode_order(inside.read(self.path, f"commands/{name}", SMALL_BYTES))
+            except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
                 yield path, None
 
-
-def still_beating(beat: Heartbeat, unchanged: float = 0.0) -> bool:
-    """Tell whether the heartbeat's process is there; on another host, whether the heartbeat is of late, and has not
-    stayed `unchanged` for too many seconds of the reader's own clock."""
-    if beat.host == platform.node():
-        return process_alive(beat.pid, beat.process_started)
-    return unchanged < LOST_AFTER and abs(time.time() - beat.time) < LOST_AFTER + LARGEST_SKEW
+    def _orders(self) -> list[str]:
+        return [name for name in self._names("commands") if _ORDER.fullmatch(name)]
 
 
 def process_alive(pid: int, started: float) -> bool:
@@ -216,7 +233,15 @@ def process_alive(pid: int, started: float) -> bool:
     try:
         process = psutil.Process(pid)
         return abs(process.create_time() - started) < 2.0 and process.status() != psutil.STATUS_ZOMBIE
-    except psutil.Error:
+    except (psutil.Error, ValueError, OverflowError):  # of another process by now, or a number that no process has
+        return False
+
+
+def process_there(pid: int) -> bool:
+    """Tell whether any process has the number `pid` and is no zombie."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except (psutil.Error, ValueError, OverflowError):
         return False
 
 
@@ -232,9 +257,28 @@ def find_run(runs: Path, run_id: str) -> RunFolder:
 
 def list_runs(runs: Path) -> list[str]:
     """Return the names of all folders in `runs` that could be runs, oldest first."""
-    if not runs.is_dir():
+    return sorted(e.name for e in _entries(runs) if RUN_ID.fullmatch(e.name) and e.is_dir(follow_symlinks=False))
+
+
+def passed_over(runs: Path) -> dict[str, str]:
+    """Return the names of folders in `runs` that may be runs and yet can't be opened, each with the reason."""
+    found = {}
+    for entry in _entries(runs):
+        if entry.is_symlink() and entry.is_dir():
+            found[entry.name] = "it is a link to a folder elsewhere: move the folder itself to here"
+        elif entry.is_dir() and not RUN_ID.fullmatch(entry.name) and (Path(entry.path) / "run.json").is_file():
+            allowed = "letters, digits, dot, dash and underscore, at most 128"
+            found[entry.name] = f"its name has other characters than {allowed}: rename the folder"
+    return found
+
+
+def _entries(runs: Path) -> list[os.DirEntry[str]]:
+    """Return what is in a folder of runs, but for what is hidden and the report of a study."""
+    try:
+        with os.scandir(runs) as found:
+            return [e for e in found if not e.name.startswith(".") and not _is_report(runs / e.name)]
+    except OSError:
         return []
-    return sorted(p.name for p in runs.iterdir() if p.is_dir() and RUN_ID.fullmatch(p.name) and not _is_report(p))
 
 
 def _is_report(path: Path) -> bool:
@@ -280,78 +324,75 @@ def hold(folder: RunFolder) -> Iterator[None]:
 
     Raise RunFolderError with the reason where the file system of the folder has no locks.
     """
-    with (folder.path / "trainer.lock").open("a+") as file:
+    try:
+        for name in ("checkpoints", "commands", "episodes", "rollouts"):
+            inside.names(folder.path, name)
+        lock = inside.open_plain(folder.path, "trainer.lock", os.O_RDWR | os.O_CREAT)
+    except OSError as error:
+        raise RunFolderError(f"{folder.id} can't be written to: {error}") from error
+    try:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel lets go of it even after kill -9
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel lets go of it even after kill -9
         except BlockingIOError:
-            file.seek(0)
-            raise HeldError(f"{folder.id} is held by another trainer ({file.read().strip() or '?'})") from None
+            holder = os.pread(lock, 200, 0).decode("utf-8", "replace").strip()
+            raise HeldError(f"{folder.id} is held by another trainer ({holder or '?'})") from None
         except OSError as error:
             raise RunFolderError(
                 f"{folder.id} can't be locked ({error.strerror}): put the runs on a file system with locks "
                 "(a local disk, NFS, Lustre mounted with -o flock), not on a mounted bucket"
             ) from error
-        file.truncate(0)
-        file.write(f"{platform.node()} pid {os.getpid()} started {psutil.Process().create_time():.2f}")
-        file.flush()
+        with contextlib.suppress(OSError):  # a full disk: the lock holds all the same
+            os.ftruncate(lock, 0)
+            holder = f"{platform.node()} pid {os.getpid()} started {psutil.Process().create_time():.2f}"
+            inside.write_at(lock, holder.encode(), 0)
         yield
+    finally:
+        os.close(lock)
 
 
 class EventLog:
     """The append-only events.jsonl, opened by the one trainer that holds the folder."""
 
     def __init__(self, folder: RunFolder) -> None:
-        events, whole = folder.read_events()
+        events, self._end = folder.read_events()
         self.seq = max((e.seq for e in events), default=0)
-        self._file = folder.events.open("r+b" if folder.events.exists() else "w+b")
-        self._file.truncate(whole)  # a torn last line of a killed trainer
-        self._file.seek(whole)
+        self._fd = inside.open_plain(folder.path, "events.jsonl", os.O_RDWR | os.O_CREAT)
+        os.ftruncate(self._fd, self._end)  # a torn last line of a killed trainer
 
     def append(self, event: AnyEvent) -> AnyEvent:
         """Write one event with the next `seq`; on OSError the log is as it was before."""
         stamped = msgspec.structs.replace(event, seq=self.seq + 1, time=time.time())
-        before = self._file.tell()
+        line = protocol.encode(stamped) + b"\n"
         try:
-            self._file.write(protocol.encode(stamped) + b"\n")
-            self._file.flush()
+            inside.write_at(self._fd, line, self._end)
         except OSError:
-            self._file = _reopen(self._file, before)
+            os.ftruncate(self._fd, self._end)
             raise
+        self._end += len(line)
         self.seq += 1
         return stamped
 
     def sync(self) -> None:
         """Make sure that what was written is on the disk: the other machines of a shared one see it only then."""
-        os.fsync(self._file.fileno())
+        os.fsync(self._fd)
 
     def close(self) -> None:
         """Make sure that every event is on the disk, and close the log."""
         self.sync()
-        self._file.close()
-
-
-def _reopen(file: io.BufferedRandom, size: int) -> io.BufferedRandom:
-    """Drop what is stuck in the buffer of `file` and cut it back to `size` bytes."""
-    os.ftruncate(file.fileno(), size)
-    with contextlib.suppress(OSError):
-        file.close()  # the buffered rest fails again; the descriptor closes all the same
-    fresh = open(file.name, "r+b")  # noqa: SIM115 - held for the log's life
-    fresh.truncate(size)
-    fresh.seek(size)
-    return fresh
+        os.close(self._fd)
 
 
 class HeartbeatFile:
     """heartbeat.json, rewritten in place in one write of a fixed size: readers see the old one or the new one."""
 
     def __init__(self, folder: RunFolder) -> None:
-        self._fd = os.open(folder.path / "heartbeat.json", os.O_RDWR | os.O_CREAT, 0o666)
+        self._fd = inside.open_plain(folder.path, "heartbeat.json", os.O_RDWR | os.O_CREAT)
 
     def write(self, beat: Heartbeat) -> None:
         """Write a heartbeat in place of the last one; a message that does not fit is shortened."""
         while len(text := protocol.encode(beat)) > HEARTBEAT_BYTES:
             beat = msgspec.structs.replace(beat, message=beat.message[: len(beat.message) // 2])
-        os.pwrite(self._fd, text.ljust(HEARTBEAT_BYTES), 0)
+        inside.write_at(self._fd, text.ljust(HEARTBEAT_BYTES), 0)
 
     def sync(self) -> None:
         """Make sure that the last heartbeat is on the disk: the other machines of a shared one see it only then."""
@@ -363,25 +404,72 @@ class HeartbeatFile:
 
 
 def write_episode(folder: RunFolder, iteration: int, arrays: dict[str, np.ndarray]) -> str:
-    """Write one recorded episode; return its name relative to the run folder."""
+    """Write the recorded episodes of an evaluation; return the file's name relative to the run folder."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
-    folder.episodes.mkdir(exist_ok=True)
+    inside.folder(folder.path, folder.episodes.name)
     durable.write_file(folder.episode(iteration), buffer.getvalue())
     return f"{folder.episodes.name}/{iteration:06d}.npz"
 
 
-def read_episode(folder: RunFolder, iteration: int) -> dict[str, np.ndarray]:
-    """Return the arrays of a recorded episode; raise RunFolderError if there is no such episode or it is damaged."""
+def read_episode(folder: RunFolder, iteration: int, which: Which | None = None) -> dict[str, np.ndarray]:
+    """Return the arrays of a recorded episode: of the median one, or of the only one, where `which` is None.
+
+    Raise RunFolderError if there is no such episode or it is damaged.
+    """
+    content = episode_bytes(folder, iteration)
     try:
-        return episode_arrays(folder.episode(iteration).read_bytes())
+        with foreign(f"episode {iteration} of {folder.id}"):
+            return episode_arrays(content, which)
+    except NoEpisodeError as error:
+        raise RunFolderError(f"iteration {iteration} of {folder.id} {error}") from None
+
+
+def episode_bytes(folder: RunFolder, iteration: int) -> bytes:
+    """Return the file of a recorded episode; raise RunFolderError if there is none, or no plain one."""
+    try:
+        return inside.read(folder.path, f"{folder.episodes.name}/{iteration:06d}.npz", EPISODE_BYTES)
     except FileNotFoundError:
         raise RunFolderError(f"{folder.id} has no episode of iteration {iteration}") from None
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except OSError as error:
         raise RunFolderError(f"episode {iteration} of {folder.id} can't be read: {error}") from error
 
 
-def episode_arrays(content: bytes) -> dict[str, np.ndarray]:
-    """Return the arrays of an episode's npz file. Nothing is unpickled."""
+def episode_arrays(content: bytes, which: Which | None = None) -> dict[str, np.ndarray]:
+    """Return the arrays of one episode of an npz file, the median one by default. Nothing is unpickled.
+
+    Raise NoEpisodeError with the choices if the file does not hold this one, ValueError where its arrays are too large.
+    """
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        if (size := sum(entry.file_size for entry in archive.infolist())) > UNPACKED_BYTES:
+            raise ValueError(f"its arrays have {size:,} bytes, and at most {UNPACKED_BYTES:,} are read")
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+        chosen = _chosen(file[_CHOSEN]) if _CHOSEN in file.files else {}
+        if which is not None and which not in chosen:
+            raise NoEpisodeError(f"has no {which} episode; {_choices(chosen)}")
+        own = f"{chosen[which]}/" if which else ""
+        names = {name: name for name in file.files if name != _CHOSEN and not name.partition("/")[0].isdecimal()}
+        if own:
+            names |= {name.removeprefix(own): name for name in file.files if name.startswith(own)}
+        return {name: file[stored] for name, stored in names.items()}
+
+
+def _chosen(numbers: np.ndarray) -> dict[Which, int]:
+    """Return which episodes a file holds, and under which number."""
+    found = zip(EPISODES, numbers.astype(int).reshape(-1).tolist(), strict=False)
+    return {which: number for which, number in found if number >= 0}
+
+
+def _choices(chosen: Mapping[Which, int]) -> str:
+    return f"choose from: {', '.join(chosen)}" if chosen else "a single one was recorded, which has no name"
+
+
+@contextlib.contextmanager
+def foreign(what: str) -> Iterator[None]:
+    """Turn whatever other people's readers throw at damaged files into one RunFolderError that names the file."""
+    try:
+        yield
+    except RunFolderError:
+        raise
+    except Exception as error:
+        raise RunFolderError(f"{what} can't be read: {str(error) or type(error).__name__}") from error

@@ -98,6 +98,8 @@ class Physics:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.steps = 0
+        self.generation: np.ndarray | None = None  # (P, d)
+        """The designs that the last generation of a search tried, for people; None where it has no generations."""
 
     def z(self, s: np.ndarray, a: np.ndarray, candidates: np.ndarray) -> np.ndarray:
         """Return z (P, n, z_size) of candidates phi (P, d) for (s, a) (n, ...), all of them in one batch."""
@@ -149,4 +151,6 @@ def derive_design(task: Task, state: "State", dataset: Dataset, search: Search, 
     state.memory.phi_was_found(state.hw_nn)
     state.phi = candidates[best]
     state.search_steps += physics.steps
+    if physics.generation is not None:
+        state.generation = physics.generation
     return float(costs[best])

@@ -45,6 +45,8 @@ class State:
     """Whether the proxy has been fitted to Hw-Phy at the initial design."""
     explored: np.ndarray | None = None  # (N, d)
     """The designs that the last iteration explored, for people; no checkpoint holds them."""
+    generation: np.ndarray | None = None  # (P, d)
+    """The designs that the last generation of the last search for phi tried, for people; no checkpoint holds them."""
     frozen: bool = False
     """Whether phi stays as it is, and every episode runs on it."""
     relabelled_steps: int = 0
@@ -121,6 +123,8 @@ class State:
             episode_return=rollout.mean_return,
             success=rollout.success_rate,
             policy_std=self.control.policy.mean_std,
+            frozen=self.frozen,
+            control_start=self.control_start,
             **metrics,  # pyright: ignore[reportArgumentType]
         )
 

@@ -256,3 +256,12 @@ class Task(Protocol):
     def qpos(self, s: np.ndarray) -> np.ndarray:
         """Return MuJoCo's qpos (N, nq) of `scene` for states s; it begins with the qpos of `spec`."""
         ...
+
+    def qvel(self, s: np.ndarray) -> np.ndarray | None:
+        """Return MuJoCo's qvel (N, nv) of `scene` for states s; None where MuJoCo does not simulate the task."""
+        return None
+
+    def ctrl(self, s: np.ndarray, a: np.ndarray) -> np.ndarray | None:
+        """Return MuJoCo's ctrl (N, nu) of `scene` while the actions a are executed from states s on; None where MuJoCo
+        does not simulate the task."""
+        return None

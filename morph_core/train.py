@@ -11,7 +11,6 @@ import sys
 import threading
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -26,9 +25,11 @@ from morph_core.beginning import begin
 from morph_core.catalogue import make_task, read_method
 from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.edits import AnyEdit, edited
-from morph_core.episodes import Score, evaluate, record_episode
+from morph_core.episodes import Score, evaluate, outcomes, record_episodes
 from morph_core.history import History, InForce
+from morph_core.inside import NotPlainError, open_plain
 from morph_core.method import Method
+from morph_core.pace import Pace
 from morph_core.processor import processor
 from morph_core.protocol import (
     Acknowledged,
@@ -52,8 +53,8 @@ HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
 PAUSED = "it keeps its core, on a cluster too: Resume goes on, Stop saves and frees the core"
-SHOWN_DESIGNS = 12
-"""Largest number of explored designs that are kept with an evaluation."""
+SHOWN_DESIGNS = 64
+"""Largest number of explored designs, and of designs that CMA-ES tried, that are kept with an evaluation."""
 _SAVED_AFTER = AnyEdit | protocol.Checkpoint
 """The commands that need a checkpoint before they are acknowledged; the others change nothing that one holds."""
 
@@ -61,13 +62,15 @@ _SAVED_AFTER = AnyEdit | protocol.Checkpoint
 class Trainer:
     """One run from its newest checkpoint on. `state` belongs to the method while it iterates, to us in between."""
 
-    def __init__(self, folder: RunFolder, further: int | None = None, until: int | None = None) -> None:
-        self._folder = folder
+    def __init__(
+        self, folder: RunFolder, further: int | None = None, until: int | None = None, from_start: bool = False
+    ) -> None:
+        self._folder, self._from_start = folder, from_start
         self._record = folder.record()
         self._status: Status = "starting"
         self._stage, self._message = "loading", ""
         self._stopping = self._step = False
-        self._pace: deque[tuple[float, int]] = deque(maxlen=20)  # s and environment steps of the last iterations
+        self._pace = Pace()
         self._iteration = self._env_steps = 0
         self._cpu_start = time.process_time()  # s, when this run's CPU clock stood at zero
         history = History(folder)
@@ -77,10 +80,11 @@ class Trainer:
         self._longest_iteration = 1  # environment steps
         self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
+        self._heartbeat: HeartbeatFile | None = None  # a full disk has no room for it yet
         self._process_started = psutil.Process().create_time()
-        self._heartbeat = HeartbeatFile(folder)
+        self._heartbeat = self._persist(lambda: HeartbeatFile(folder))
         self.beat()
-        self._log = EventLog(folder)
+        self._log = self._persist(lambda: EventLog(folder))
 
     @functools.cached_property
     def _task(self) -> Task:
@@ -100,7 +104,7 @@ class Trainer:
             began, steps = time.monotonic(), state.env_steps
             for progress in method.iterations(task, state):
                 self._take_in(task, method, state, progress)
-                self._pace.append((time.monotonic() - began, state.env_steps - steps))
+                self._pace.took(time.monotonic() - began, state.env_steps - steps)
                 self._between_iterations(state)
                 if self._stopping or self._is_done(state):
                     break
@@ -125,24 +129,24 @@ class Trainer:
             self._log.append(StateChanged(status="failed", iteration=self._iteration, message=reason))
 
     def beat(self) -> None:
-        """Rewrite the heartbeat."""
+        """Rewrite the heartbeat; where the disk does not take this one, it will take a later one."""
         remaining = self._remaining_iterations()
-        seconds = [seconds for seconds, _ in self._pace]
-        eta = float(np.mean(seconds)) * remaining if seconds else None
-        self._heartbeat.write(
-            Heartbeat(
-                host=platform.node(), pid=os.getpid(), process_started=self._process_started,
-                time=time.time(), status=self._status, stage=self._stage, message=self._message,
-                iteration=self._iteration, iterations=self._iteration + remaining,
-                env_steps=self._env_steps, eta_seconds=eta,
-            )
+        beat = Heartbeat(
+            host=platform.node(), pid=os.getpid(), process_started=self._process_started,
+            time=time.time(), status=self._status, stage=self._stage, message=self._message,
+            iteration=self._iteration, iterations=self._iteration + remaining,
+            env_steps=self._env_steps, eta_seconds=self._pace.left(remaining),
         )  # fmt: skip
+        if self._heartbeat is not None:
+            with contextlib.suppress(OSError):
+                self._heartbeat.write(beat)
 
     def sync(self) -> None:
         """Make sure that what was said is on the disk; one that does not take it is met by the next word."""
         with contextlib.suppress(OSError, ValueError):  # ValueError: the log is being opened again
             self._log.sync()
-            self._heartbeat.sync()
+            if self._heartbeat is not None:
+                self._heartbeat.sync()
 
     # --- when it ends ---
 
@@ -159,7 +163,7 @@ class Trainer:
         remaining = max(0, self._last - self._iteration)
         if self._budget is None:
             return remaining
-        steps = np.mean([steps for _, steps in self._pace]) if self._pace else self._longest_iteration
+        steps = self._pace.env_steps or self._longest_iteration
         return min(remaining, math.ceil(max(0, self._budget - self._env_steps) / max(1.0, steps)))
 
     # --- one iteration ---
@@ -169,14 +173,20 @@ class Trainer:
         return time.process_time() - self._cpu_start
 
     def _load(self, task: Task, method: Method) -> State:
-        recover_checkpoints(self._folder)
-        newest = load_newest(self._folder, task, method)
+        self._persist(lambda: recover_checkpoints(self._folder))
+        newest, damaged = load_newest(self._folder, task, method)
         if newest is None:
+            self._refuse_to_begin_anew(damaged)
             first = begin(self._folder, self._record, task, method)
             state, cpu_before, origin = first.state, first.cpu_seconds, first.words
         else:
             state, cpu_before = newest
-            origin = f"from the checkpoint of iteration {state.iteration}"
+            origin = "; ".join([f"from the checkpoint of iteration {state.iteration}", *damaged])
+            if self._from_start:
+                raise RunFolderError(
+                    f"{self._folder.id} does not begin anew: its checkpoint of iteration {state.iteration} can be "
+                    "read; resume it without --from-start, or start a new run"
+                )
         self._cpu_start = time.process_time() - cpu_before
         self._iteration, self._env_steps = state.iteration, state.env_steps
         self._measured = {iteration for iteration in self._measured if iteration <= state.iteration}
@@ -190,6 +200,20 @@ class Trainer:
         if newest is None and self._record.parent:
             self._checkpoint(state)  # what it took along can be evaluated, exported and branched from at once
         return state
+
+    def _refuse_to_begin_anew(self, damaged: list[str]) -> None:
+        """Raise RunFolderError if what was learnt is on record and yet can't be read, unless a user has said yes."""
+        history = History(self._folder)
+        saved = [event.iteration for event in history.evaluations if not event.final]
+        missing = len(saved) > 1  # each is followed by a checkpoint, but for the last one before a crash
+        if self._from_start or not (damaged or missing):
+            return
+        why = "; ".join(damaged[:3]) if damaged else f"{self._folder.id} has lost all its checkpoints"
+        raise RunFolderError(
+            f"{why}. No checkpoint is left to go on from. To begin anew from the initial design, which gives up "
+            f"{history.iteration - history.begins_at} iterations: "
+            f"morph-studio train --resume {self._folder.id} --from-start"
+        )
 
     def _take_in(self, task: Task, method: Method, state: State, progress: Progress) -> None:
         """Record an iteration; evaluate and save where it is due."""
@@ -212,11 +236,13 @@ class Trainer:
         # Its own random numbers, so that what is learnt does not depend on how often it is evaluated.
         rng = np.random.default_rng([self._record.seed, state.iteration])
         sampled, mean, rollout = self._score(task, state, method.evaluation.episodes, rng)
-        arrays = record_episode(task, rollout, state.phi)
+        arrays = record_episodes(task, rollout, state.phi)
         if state.explored is not None:
             arrays["population"] = state.explored[:SHOWN_DESIGNS]
+        if state.generation is not None:
+            arrays["generation"] = state.generation[:SHOWN_DESIGNS]
         name = self._persist(lambda: write_episode(self._folder, state.iteration, arrays))
-        self._tell(state, sampled, mean, method.evaluation.episodes, episode=name)
+        self._tell(state, sampled, mean, method.evaluation.episodes, episode=name, recorded=outcomes(rollout))
 
     def _outcome(self, task: Task, method: Method, state: State) -> State:
         """Return the state whose design and policy the method has come to, which is not always the last one."""
@@ -246,7 +272,8 @@ class Trainer:
                 iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
                 sampled_success=sampled.success, sampled_return=sampled.episode_return,
                 deterministic_success=mean.success, deterministic_return=mean.episode_return,
-                milestones=sampled.milestones, diverged=sampled.diverged,
+                milestones=sampled.milestones, diverged=sampled.diverged, reward_terms=sampled.reward_terms,
+                return_interval=sampled.return_interval,
                 cpu_seconds=self._cpu_seconds, episodes=episodes, **said,
             )
         )  # fmt: skip
@@ -274,7 +301,8 @@ class Trainer:
         for path, order in self._folder.pending():
             if order is not None and order.id not in self._answered:
                 self._answer(order, state)
-            path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # what has been answered is not answered again
+                path.unlink(missing_ok=True)
 
     def _answer(self, order: Order, state: State) -> None:
         try:
@@ -338,6 +366,8 @@ class Trainer:
         while True:
             try:
                 result = action()
+            except NotPlainError:
+                raise
             except OSError as error:
                 if self._stopping:
                     raise
@@ -363,11 +393,11 @@ def apply_edit(command: AnyEdit, state: State, task: Task) -> str:
     return edit.message
 
 
-def train(folder: RunFolder, further: int | None = None, until: int | None = None) -> int:
+def train(folder: RunFolder, further: int | None = None, until: int | None = None, from_start: bool = False) -> int:
     """Run one trainer on the folder in this process; return the exit status."""
     torch.set_num_threads(1)
     with hold(folder):
-        trainer = Trainer(folder, further, until)
+        trainer = Trainer(folder, further, until, from_start)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: trainer.stop())
         ended = threading.Event()
@@ -375,6 +405,10 @@ def train(folder: RunFolder, further: int | None = None, until: int | None = Non
         beats.start()
         try:
             trainer.run()
+        except RunFolderError as error:
+            print(error, file=sys.stderr)  # noqa: T201 - the last line of its log says why it has ended
+            trainer.fail(str(error))
+            return 1
         except Exception as error:
             traceback.print_exc()
             trainer.fail(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
@@ -395,7 +429,7 @@ def _keep_beating(trainer: Trainer, ended: threading.Event) -> None:
 def _say_into(log: Path) -> None:
     """Let standard output and error go to the end of this file from now on, and work beside it."""
     os.chdir(log.parent)
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    descriptor = open_plain(log.parent, log.name, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     for stream in (1, 2):
         os.dup2(descriptor, stream)
     os.close(descriptor)
@@ -411,11 +445,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m morph_core.train", description=__doc__)
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--run", type=Path, help="run folder")
-    what.add_argument("--standby", action="store_true", help='wait for {"run": DIR, "further": M or null} on stdin')
+    what.add_argument("--standby", action="store_true", help="wait for run, further and from_start on stdin")
     last = parser.add_mutually_exclusive_group()
     last.add_argument("--further", type=int, help="iterations beyond the last recorded one (default: as planned)")
     last.add_argument(
         "--until", type=int, help="last iteration, however often the trainer is started (default: as planned)"
+    )
+    parser.add_argument(
+        "--from-start", action="store_true", help="begin anew where no checkpoint of a run is left that can be read"
     )
     options = parser.parse_args()
     if options.standby:
@@ -424,14 +461,15 @@ def main() -> int:
             return 0  # whoever kept us in reserve is gone
         order = msgspec.json.decode(line)
         options.run, options.further = Path(order["run"]), order["further"]
+        options.from_start = order["from_start"]
         _say_into(options.run / "trainer.log")
     if options.further is not None and options.further < 1:
         parser.error(f"--further must be at least 1, not {options.further}")
     if options.until is not None and options.until < 1:
         parser.error(f"--until must be at least 1, not {options.until}")
     try:
-        return train(RunFolder(options.run.resolve()), options.further, options.until)
-    except RunFolderError as error:
+        return train(RunFolder(options.run.resolve()), options.further, options.until, options.from_start)
+    except (RunFolderError, OSError) as error:
         print(f"morph_core.train: {error}", file=sys.stderr)  # noqa: T201 - a process entry
         return 2 if isinstance(error, HeldError) else 1
 

@@ -25,7 +25,10 @@ from starlette.types import ASGIApp
 from morph_core.history import History
 from morph_core.protocol import Status
 from morph_core.run_folder import RunFolderError
+from studio.album import Album
+from studio.api.compare import compare_router
 from studio.api.designs import designs_router, imports_router
+from studio.api.desks import desks_router
 from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
@@ -36,6 +39,7 @@ from studio.api.tasks import tasks_router
 from studio.api.what_if import what_if_router
 from studio.branches import tree_of
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
+from studio.desks import Desks
 from studio.evaluator import Evaluator, EvaluatorError
 from studio.export.bundle import Bundle, build_bundle
 from studio.new_run import Branch, StartRun
@@ -43,6 +47,7 @@ from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
 from studio.shelf import trash
+from studio.shelf.thumbnails import Thumbnails
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
@@ -55,25 +60,25 @@ _log = logging.getLogger(__name__)
 
 
 class Shows(Protocol):
-    """What the application needs of a viewer."""
+    """What the application needs of whoever shows the runs to browsers."""
 
     @property
-    def selected(self) -> str | None:
-        """Return the name of the run on screen, or None."""
+    def selected(self) -> frozenset[str]:
+        """Return the names of the runs on screen."""
         ...
 
     def show(
         self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
     ) -> None:
-        """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
+        """Show the runs as they are now; a browser that comes without a choice opens the run `current`."""
         ...
 
-    def turn_to(self, iteration: int) -> None:
-        """Show the design of an iteration of the run on screen."""
+    def turn_to(self, run_id: str, iteration: int | None) -> None:
+        """Let every browser show this run, and the design of an iteration."""
         ...
 
     def stop(self) -> None:
-        """End what the viewer has started."""
+        """End what was started to show runs."""
         ...
 
 
@@ -85,8 +90,8 @@ class _GuardedApp(FastAPI):
         return Guard(super().build_middleware_stack(), self.state.access)
 
 
-def make_viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Shows:
-    """Return the studio's viewer, with what its users ask for passed on to the runs."""
+def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: Album) -> Desks:
+    """Return the viewers of all browsers, with what their users ask for passed on to the runs."""
 
     def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
         return runs.start(_branch(runs.get(run_id), iteration, phi))
@@ -94,16 +99,20 @@ def make_viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Sho
     def on_export(run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None) -> Bundle:
         return build_bundle(runs.get(run_id), which, formats, phi)
 
-    return Viewer(
-        server,
-        on_command=runs.send,
-        on_start=runs.start,
-        on_resume=runs.resume,
-        on_branch=on_branch,
-        on_export=on_export,
-        answers=what_ifs,
-        family=lambda run_id: tree_of(run_id, runs.parents()),
-    )
+    def make(client: viser.ClientHandle) -> Viewer:
+        return Viewer(
+            client,
+            on_command=runs.send,
+            on_start=runs.start,
+            on_resume=runs.resume,
+            on_branch=on_branch,
+            on_export=on_export,
+            answers=what_ifs,
+            family=lambda run_id: tree_of(run_id, runs.parents()),
+            album=album,
+        )
+
+    return Desks(server, make)
 
 
 def _branch(history: History, iteration: int, phi: Sequence[float]) -> StartRun:
@@ -123,15 +132,17 @@ def create_app(
     *,
     runs: Runs | None = None,
     launcher: Slurm | None = None,
-    viewer: Callable[[viser.ViserServer, Runs, WhatIfs], Shows] = make_viewer,
+    desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album], Shows] = make_desks,
 ) -> FastAPI:
-    """Return the application; `app.state` holds `access`, `runs`, `evaluator` and, while it runs, `viser`.
+    """Return the application; `app.state` holds `access`, `runs`, `evaluator` and, while it runs, `viser` and `desks`.
 
     New runs are started by `launcher`, by default as processes of this machine.
     """
     reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
     what_ifs = WhatIfs(evaluator)
     watched = runs or Runs(settings.runs, reserve.spawn, launcher)
+    thumbnails = Thumbnails()
+    album = Album(watched, thumbnails)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
 
     @contextlib.asynccontextmanager
@@ -147,9 +158,11 @@ def create_app(
                     reserve.load()
             app.state.viser = GuardedViser()
             ends.callback(app.state.viser.stop)
-            shown, done = viewer(app.state.viser.server, watched, what_ifs), threading.Event()
-            ends.callback(shown.stop)
-            painter = threading.Thread(target=keep_showing, args=(shown, watched, done), name="viewer", daemon=True)
+            app.state.desks, done = desks(app.state.viser.server, watched, what_ifs, album), threading.Event()
+            ends.callback(app.state.desks.stop)
+            painter = threading.Thread(
+                target=keep_showing, args=(app.state.desks, watched, done), name="desks", daemon=True
+            )
             painter.start()
             threading.Thread(target=watched.rows, name="first listing", daemon=True).start()
             ends.callback(painter.join, 2.0)
@@ -174,10 +187,12 @@ def create_app(
         runs_router(watched),
         designs_router(watched, build_bundle),
         imports_router(watched),
+        compare_router(watched),
         events_router(watched, stopping),
         what_if_router(watched, what_ifs),
         study_router(report),
-        shelf_router(watched),
+        shelf_router(watched, thumbnails),
+        desks_router(),
         viewer_router(),
         docs_router(),
     ):
@@ -187,16 +202,14 @@ def create_app(
     return app
 
 
-def keep_showing(viewer: Shows, runs: Runs, done: threading.Event) -> None:
-    """Hand the runs to the viewer until `done` is set; what it raises is logged."""
+def keep_showing(desks: Shows, runs: Runs, done: threading.Event) -> None:
+    """Hand the runs to the browsers until `done` is set; what goes wrong is logged."""
     while not done.wait(SHOW_INTERVAL):
         with _logged("showing the runs"):
-            histories, shown = runs.watched(), runs.shown
-            viewer.show(histories, {name: runs.status(history) for name, history in histories.items()}, shown)
-            if (iteration := runs.take_iteration()) is not None:
-                viewer.turn_to(iteration)
-            if viewer.selected != shown and runs.shown == shown:  # someone chose another run in the viewer itself
-                runs.shown = viewer.selected
+            histories = runs.watched(desks.selected)
+            desks.show(histories, {name: runs.status(history) for name, history in histories.items()}, runs.shown)
+            if (asked := runs.take_request()) is not None:
+                desks.turn_to(*asked)
 
 
 @contextlib.contextmanager

@@ -24,6 +24,8 @@ from websockets.http11 import Request as UpgradeRequest
 from websockets.http11 import Response as UpgradeResponse
 from websockets.typing import Subprotocol
 
+from studio.desks import KEY
+
 MAX_MESSAGE = 1 << 20
 """Largest message that a browser may send, in bytes; the client's own are below 1 kB, but for parts of files."""
 ALLOWED = frozenset(
@@ -62,6 +64,12 @@ class UploadPart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransfe
 
 UPLOADS = frozenset({"FileTransferStartUpload", "FileTransferPart"})
 """Kinds of messages that are admitted where all their fields are as they should be."""
+
+_STYLE = (
+    b"<style>.u-legend .u-value,.u-legend th::after{visibility:hidden}"
+    b".u-wrap:hover~.u-legend .u-value,.u-wrap:hover~.u-legend th::after{visibility:visible}</style>"
+)
+"""Style that lets a chart's legend show values only while the pointer is in the chart: elsewhere it has none."""
 
 _log = logging.getLogger(__name__)
 
@@ -189,12 +197,16 @@ def client_csp(host: str) -> str:
 
 
 def viewer_router() -> APIRouter:
-    """Return the page at /viewer/ and the websocket at /viewer; `app.state.viser` is the guarded server."""
+    """Return the page at /viewer/ and the websocket at /viewer, and both for a browser that brings the key of its desk.
+
+    `app.state.viser` is the guarded server.
+    """
     router = APIRouter(include_in_schema=False)
-    page = files(viser).joinpath("client/build/index.html").read_bytes()
+    page = files(viser).joinpath("client/build/index.html").read_bytes().replace(b"</head>", _STYLE + b"</head>", 1)
     packed = gzip.compress(page, 6)
 
     @router.get("/viewer/")
+    @router.get("/viewer/{key}/")
     def client(request: Request) -> Response:
         zipped = "gzip" in request.headers.get("accept-encoding", "")
         headers = {"Content-Security-Policy": client_csp(request.headers["host"]), "Vary": "Accept-Encoding"}
@@ -203,7 +215,9 @@ def viewer_router() -> APIRouter:
         return Response(packed if zipped else page, media_type="text/html", headers=headers)
 
     @router.websocket("/viewer")
-    async def bridge(browser: WebSocket) -> None:
-        await relay(browser, browser.app.state.viser.address)
+    @router.websocket("/viewer/{key}")
+    async def bridge(browser: WebSocket, key: str = "") -> None:
+        address = browser.app.state.viser.address
+        await relay(browser, f"{address}?{key}" if KEY.fullmatch(key) else address)
 
     return router

@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from morph_core import inside
 from morph_core.history import History
 from morph_core.protocol import StateChanged, Status
-from morph_core.run_folder import SAID_ENDED, RunFolder, process_alive, still_beating
+from morph_core.run_folder import SAID_ENDED, SMALL_BYTES, RunFolder
 
 _LOG_TAIL = 4096
 
@@ -36,8 +37,7 @@ class Child:
 
 def start_child(folder: RunFolder, spawn: Callable[[], subprocess.Popen[bytes]]) -> Child:
     """Start a trainer by `spawn` and remember what there was before it."""
-    log = folder.path / "trainer.log"
-    log_start = log.stat().st_size if log.exists() else 0
+    log_start = _log_size(folder)
     spawned = time.time()
     return Child(folder, spawn(), spawned, log_start)
 
@@ -55,14 +55,20 @@ def cause_of_death(folder: RunFolder, code: int | None, log_start: int = 0) -> s
 
 
 def _last_line(folder: RunFolder, start: int) -> str:
-    log = folder.path / "trainer.log"
     try:
-        with log.open("rb") as file:
-            file.seek(max(start, log.stat().st_size - _LOG_TAIL))
-            lines = file.read(_LOG_TAIL).decode("utf-8", "replace").split("\n")
+        begin = max(start, _log_size(folder) - _LOG_TAIL)
+        lines = inside.read(folder.path, "trainer.log", SMALL_BYTES, begin)[-_LOG_TAIL:]
+        lines = lines.decode("utf-8", "replace").split("\n")
     except OSError:
         return ""
     return next((line.strip()[:500] for line in reversed(lines) if line.strip()), "")
+
+
+def _log_size(folder: RunFolder) -> int:
+    try:
+        return (folder.path / "trainer.log").lstat().st_size
+    except OSError:
+        return 0
 
 
 @dataclass(frozen=True)
@@ -74,7 +80,10 @@ class _Verdict:
 
 
 class Inquest:
-    """Watches the trainers of many runs, its own children and others, and remembers why one died. Not thread-safe."""
+    """Watches the trainers of many runs, its own children and others, and remembers why one died.
+
+    Calls about one run must not overlap; those about different runs may.
+    """
 
     def __init__(self) -> None:
         self._children: dict[str, Child] = {}
@@ -106,7 +115,7 @@ class Inquest:
             history.poll()  # its last words
             # Refused because another trainer holds the folder: then it is not this one's death that counts.
             beat = history.heartbeat
-            other = beat is not None and beat.pid != child.process.pid and still_beating(beat)
+            other = beat is not None and beat.pid != child.process.pid and history.pulse.is_alive
             if child.spoken_end(history) is None and not other:
                 self._find(history, child.cause())
 
@@ -125,7 +134,7 @@ class Inquest:
         child = self._children.get(history.folder.id)
         if child is not None and child.process.poll() is None:
             return True
-        return self._verdict(history) is None and history.folder.trainer_alive()
+        return self._verdict(history) is None and history.pulse.is_alive
 
     def _look_at_stranger(self, history: History) -> None:
         """Follow a trainer that was adopted, or started by someone else, as long as its process is on this machine."""
@@ -133,7 +142,7 @@ class Inquest:
         if beat is None or beat.host != platform.node() or history.status in SAID_ENDED:
             return
         process = (beat.pid, beat.process_started)
-        if process_alive(*process):
+        if history.pulse.is_alive:
             self._seen_alive[run_id] = process
             self._verdicts.pop(run_id, None)
         elif self._seen_alive.get(run_id) == process:

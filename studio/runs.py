@@ -4,7 +4,7 @@ import contextlib
 import shutil
 import subprocess
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import msgspec
@@ -12,14 +12,16 @@ import msgspec
 from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.history import History
+from morph_core.inside import NotPlainError
 from morph_core.protocol import AnyCommand, AnyEvent, Evaluation, Parent, Resume, RunRecord, StateChanged, Status, Stop
-from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs
+from morph_core.pulse import Pulse, at_work
+from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs, passed_over
 from studio import limits
 from studio.commands import check_command
 from studio.inquest import Inquest
 from studio.new_run import StartRun, prepare_run
 from studio.shelf import trash
-from studio.shelf.marks import FILE, Marks, MarksChange, changed, read_marks, write_marks
+from studio.shelf.marks import FILE, Marks, MarksChange, changed, read_marks, with_star, write_marks
 from studio.shelf.outcome import Outcome, evaluations_of, landmarks, outcome_of
 from studio.shelf.trash import Trashed
 from studio.study.local import CANCELLED
@@ -28,9 +30,11 @@ from studio.study.slurm_queue import SlurmError
 from studio.trainers import spawn_trainer
 
 WATCHED = 20
-"""Number of the newest runs that the viewer is offered, beside those that run and the one it shows."""
+"""Number of the newest runs that browsers are offered, beside those that run and those they show."""
 KEPT = 40
 """Largest number of runs that are kept in memory."""
+LONGEST_REASON = 500
+"""Largest number of characters of the reason why a run can't be read."""
 _EVENTS_TAIL = 65536
 _AT_REST: tuple[Status, ...] = (*SAID_ENDED, "lost", "unreadable")
 """States of a run that no trainer is at work on, and none is to be."""
@@ -46,7 +50,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     reason: str = ""
     """Words on why the run is in this state."""
     current: bool = False
-    """Whether the viewer shows this run."""
+    """Whether a browser that has chosen no run opens this one."""
     task: str | None = None
     method: str | None = None
     seed: int | None = None
@@ -80,14 +84,16 @@ class Runs:
         """Take the runs of `folder`. New ones are started by `launcher`, by default as processes of this machine."""
         self.folder = folder
         self.shown: str | None = None
-        """The run on screen; None while the start panel is."""
-        self._turn_to: int | None = None
+        """The run that a browser opens which has chosen none; None for the start panel."""
+        self._asked: tuple[str, int | None] | None = None
         self._spawn = spawn
         self._launcher = launcher
         self._slurm = launcher or Slurm()
-        self._lock = threading.RLock()
+        self._lock = threading.Lock()  # of the tables here: nothing is read while it is held
+        self._turns: dict[str, threading.RLock] = {}
+        self._pulses: dict[str, Pulse] = {}
         self._histories: dict[str, History] = {}  # least recently used first
-        self._unreadable: dict[str, tuple[float, str]] = {}
+        self._unreadable: dict[str, tuple[tuple[int, ...], str]] = {}
         self._ended: dict[str, tuple[int, Summary]] = {}
         self._parents: dict[str, Parent | None] = {}
         self._outcomes: dict[str, tuple[int, Outcome]] = {}
@@ -99,14 +105,18 @@ class Runs:
     def get(self, run_id: str) -> History:
         """Return the run as it is now; raise RunFolderError if it is unknown or unreadable."""
         folder = find_run(self.folder, run_id)
-        with self._lock:
+        with self._turn(run_id):
             history = self._tail(folder)
             self._inquest.look(history)
             return history
 
+    def _turn(self, run_id: str) -> threading.RLock:
+        """Return the lock under which one run is read, so that a slow or strange one keeps no other waiting."""
+        return self._turns.setdefault(run_id, threading.RLock())
+
     def status(self, history: History) -> tuple[Status, str]:
         """Return what the run does and why, including what only a witness of its trainer's death can know."""
-        with self._lock:
+        with self._turn(history.folder.id):
             return self._in_queue(history.folder, *self._inquest.status(history))
 
     def ask_slurm(self) -> None:
@@ -123,17 +133,19 @@ class Runs:
             else:
                 status, reason = self._in_queue(folder, line.status, line.reason)
                 line = msgspec.structs.replace(line, status=status, reason=reason)
-        except RunFolderError as error:
-            line = Summary(id=run_id, status="unreadable", reason=str(error))
+        except Exception as error:  # whatever is wrong with one run, the others are listed
+            reason = str(error) if isinstance(error, RunFolderError) else f"{run_id} can't be read: {error!r}"
+            line = Summary(id=run_id, status="unreadable", reason=reason[:LONGEST_REASON])
         return msgspec.structs.replace(line, marks=self.marks(folder))
 
     def summaries(self) -> list[Summary]:
-        """Return all runs, newest first."""
+        """Return all runs, newest first, and at the end the folders that are none but seem to be meant as such."""
         lines = []
         for run_id in self.ids():
             with contextlib.suppress(RunFolderError):  # removed this very moment
                 lines.append(msgspec.structs.replace(self.summary(run_id), current=run_id == self.shown))
-        return lines
+        refused = passed_over(self.folder)
+        return lines + [Summary(id=name, status="unreadable", reason=why) for name, why in sorted(refused.items())]
 
     def rows(self) -> list[Row]:
         """Return all runs with what they have come to, newest first."""
@@ -157,13 +169,13 @@ class Runs:
     def evaluations(self, run_id: str) -> tuple[RunRecord, list[Evaluation]]:
         """Return a run's record and its evaluations; raise RunFolderError if there is no such run."""
         folder = find_run(self.folder, run_id)
-        with self._lock:
+        with self._turn(run_id):
             return folder.record(), evaluations_of(self._landmarks(folder))
 
     def marks(self, folder: RunFolder) -> Marks:
         """Return what people have noted about a run."""
         try:
-            changed_at = (folder.path / FILE).stat().st_mtime_ns
+            changed_at = (folder.path / FILE).lstat().st_mtime_ns
         except OSError:
             return Marks()
         known = self._marks.get(folder.id)
@@ -184,11 +196,10 @@ class Runs:
                     self._parents[name] = RunFolder(self.folder / name).record().parent
         return {name: self._parents.get(name) for name in names}
 
-    def watched(self) -> dict[str, History]:
-        """Return the runs the viewer may show, newest first: recent, running, and the current one."""
+    def watched(self, selected: Collection[str] = ()) -> dict[str, History]:
+        """Return the runs that browsers may show, newest first: recent, running, current, and what they `selected`."""
         names = self.ids()
-        with self._lock:
-            wanted = {*names[:WATCHED], *self._inquest.children, self.shown}
+        wanted = {*names[:WATCHED], *self._inquest.children, self.shown, *selected}
         histories = {}
         for name in names:
             if name in wanted:
@@ -197,38 +208,50 @@ class Runs:
         return histories
 
     def show(self, run_id: str, iteration: int | None = None) -> None:
-        """Let the viewer show this run, and the design of an iteration; RunFolderError if there is no such one."""
+        """Let every browser show this run, and the design of an iteration; RunFolderError if there is no such one."""
         history = self.get(run_id)
         if iteration is not None:
             history.design(str(iteration))
-        self.shown, self._turn_to = run_id, iteration
+        self.shown, self._asked = run_id, (run_id, iteration)
 
-    def take_iteration(self) -> int | None:
-        """Return the iteration that the viewer is to turn to, once; None if it is to turn nowhere."""
-        wanted, self._turn_to = self._turn_to, None
-        return wanted
+    def take_request(self) -> tuple[str, int | None] | None:
+        """Return, once, the run and iteration that every browser is to show; None if they stay where they are."""
+        asked, self._asked = self._asked, None
+        return asked
 
     def show_newest(self) -> None:
-        """Let the viewer show the newest run that can be read, if there is one."""
+        """Let browsers that have chosen no run open the newest one that can be read, if there is one."""
         for run_id in self.ids():
             with contextlib.suppress(RunFolderError):
-                return self.show(run_id)
-        return None
+                self.shown = self.get(run_id).folder.id
+                return
 
     # --- keeping in order ---
 
     def mark(self, run_id: str, change: MarksChange) -> Marks:
         """Change what is noted about a run. Raise ValueError, nothing changed, if it is too long or unreadable."""
         folder = find_run(self.folder, run_id)
-        with self._lock:
+        with self._turn(run_id):
             marks = changed(read_marks(folder.path), change)
+            write_marks(folder.path, marks)
+        return marks
+
+    def star(self, run_id: str, design: str, starred: bool) -> Marks:
+        """Star a design of a run, or take its star away; RunFolderError if there is no such design.
+
+        Raise ValueError, nothing changed, if too many are starred.
+        """
+        iteration, _ = self.get(run_id).design(design)
+        folder = find_run(self.folder, run_id)
+        with self._lock:
+            marks = with_star(read_marks(folder.path), iteration, starred)
             write_marks(folder.path, marks)
         return marks
 
     def discard(self, run_id: str) -> Trashed:
         """Move a run into the trash. Raise ValueError if a trainer is at work on it, or it waits for one."""
         folder = find_run(self.folder, run_id)
-        with self._lock:
+        with self._turn(run_id):
             status = self.summary(run_id).status
             if status not in _AT_REST:
                 raise ValueError(f"{run_id} is {status}: stop it, then delete it")
@@ -262,30 +285,35 @@ class Runs:
                 shutil.rmtree(folder.path)
                 raise
         else:
-            with self._lock:
+            with self._turn(folder.id):
                 self._launch(folder)
         self.shown = folder.id
         return folder.id
 
-    def resume(self, run_id: str, further: int | None = None) -> None:
+    def resume(self, run_id: str, further: int | None = None, from_start: bool = False) -> None:
         """Start a trainer that goes on from the newest checkpoint; ValueError if one is at work or nothing is left.
 
+        Where no checkpoint can be read any more it ends with a sentence, unless it may begin anew `from_start`.
         A run that came from Slurm's queue goes back into it: no trainer of it starts on this machine.
         """
         if further is not None:
             further = limits.iterations(further, "further")
-        with self._lock:
+        folder = find_run(self.folder, run_id)
+        watched = not self.get(run_id).pulse.is_alive and at_work(folder.heartbeat)  # before it is anybody's turn
+        with self._turn(run_id):
             history = self.get(run_id)
             status, _ = self.status(history)
-            if self._inquest.is_alive(history):
+            if watched or self._inquest.is_alive(history):
                 raise ValueError(f"{run_id} has a trainer already and is {status}; send it the command resume instead")
             if status == "queued" and slurm_launch(history.folder):
                 raise ValueError(f"{run_id} is in Slurm's queue already: {self.status(history)[1]}")
             if status == "finished" and further is None:
                 raise ValueError(f"{run_id} has finished: say how many iterations it shall do further")
             queued = slurm_launch(history.folder)
+            if queued and from_start:
+                raise ValueError(f"{run_id} came from Slurm's queue, from which none begins anew: start a new run")
             if not queued:
-                self._launch(history.folder, further)
+                self._launch(history.folder, further, from_start)
         if queued:
             until = history.iteration + further if further is not None else None
             self._slurm.resume(self.folder, run_id, until=until)
@@ -302,7 +330,7 @@ class Runs:
         history = self.get(run_id)
         task = make_task(history.record.task, history.record.task_options)
         command = check_command(command, history.in_force, task)
-        with self._lock:
+        with self._turn(run_id):
             alive, (status, _) = self._inquest.is_alive(history), self.status(history)
         if not alive:
             if status != "queued":
@@ -313,8 +341,8 @@ class Runs:
             return 0
         return history.folder.send(command, sender)
 
-    def _launch(self, folder: RunFolder, further: int | None = None) -> None:
-        self._inquest.begin(folder, lambda: self._spawn(folder, further=further))
+    def _launch(self, folder: RunFolder, further: int | None = None, from_start: bool = False) -> None:
+        self._inquest.begin(folder, lambda: self._spawn(folder, further=further, from_start=from_start))
 
     def _in_queue(self, folder: RunFolder, status: Status, reason: str) -> tuple[Status, str]:
         """Return what a run does and why, with what Slurm says of it where its folder can't tell."""
@@ -343,10 +371,10 @@ class Runs:
     def _outcome(self, folder: RunFolder) -> Outcome:
         """Return what a run has come to; its log is read again only when it has grown."""
         try:
-            size = folder.events.stat().st_size
+            size = folder.events.lstat().st_size
         except OSError:
             return Outcome()
-        with self._lock:
+        with self._turn(folder.id):
             known = self._outcomes.get(folder.id)
             if known is None or known[0] != size:
                 known = self._outcomes[folder.id] = size, outcome_of(self._landmarks(folder))
@@ -355,32 +383,33 @@ class Runs:
     def _landmarks(self, folder: RunFolder) -> list[AnyEvent]:
         history = self._histories.get(folder.id)
         if history is None:
-            return landmarks(folder.events)
-        history.poll()
+            return landmarks(folder.path)
+        with contextlib.suppress(RunFolderError):  # its line says why
+            history.poll()
         return history.events
 
     def _tail(self, folder: RunFolder) -> History:
-        """Return the run's history, polled; an unreadable run is not read again until its run.json changes."""
-        try:
-            changed = (folder.path / "run.json").stat().st_mtime
-        except OSError:
-            changed = 0.0
+        """Return the run's history, polled; an unreadable run is not read again until one of its files changes."""
+        changed = tuple(_changed(folder.path / name) for name in ("run.json", "events.jsonl", "heartbeat.json"))
         known = self._unreadable.get(folder.id)
         if known and known[0] == changed:
             raise RunFolderError(known[1])
-        history = self._histories.pop(folder.id, None)
+        with self._lock:
+            history = self._histories.pop(folder.id, None)
         try:
             if history is None:
-                history = History(folder)
+                history = History(folder, self._pulses.setdefault(folder.id, Pulse()))
             else:
                 history.poll()
-        except (ValueError, OSError) as error:  # foreign parameters, a directory where a file belongs, no permission
-            reason = str(error) if isinstance(error, RunFolderError) else f"{folder.id} can't be read: {error}"
-            self._unreadable[folder.id] = changed, reason
+        except Exception as error:  # foreign parameters, a directory where a file belongs, no permission
+            reason = str(error) if isinstance(error, RunFolderError) else f"{folder.id} can't be read: {error!r}"
+            if not _may_pass(error):
+                self._unreadable[folder.id] = changed, reason
             raise RunFolderError(reason) from error
-        self._histories[folder.id] = history
-        if len(self._histories) > KEPT:
-            del self._histories[next(iter(self._histories))]
+        with self._lock:
+            self._histories[folder.id] = history
+            if len(self._histories) > KEPT:
+                del self._histories[next(iter(self._histories))]
         return history
 
     def _summarise(self, history: History) -> Summary:
@@ -405,11 +434,10 @@ class Runs:
 
     def _ended_summary(self, folder: RunFolder) -> Summary | None:
         """Return the line of a run that has ended from the end of its log alone: hundreds stay quick to list."""
-        with self._lock:
-            if self._inquest.concerns(folder.id) or folder.id in self._histories:
-                return None
+        if self._inquest.concerns(folder.id) or folder.id in self._histories:
+            return None
         try:
-            size = folder.events.stat().st_size
+            size = folder.events.lstat().st_size
         except OSError:
             return None
         known = self._ended.get(folder.id)
@@ -440,3 +468,17 @@ class Runs:
         )
         self._ended[folder.id] = size, line
         return line
+
+
+def _changed(path: Path) -> int:
+    """Return when a file was last changed, in nanoseconds; 0 where there is none."""
+    try:
+        return path.lstat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _may_pass(error: BaseException) -> bool:
+    """Tell whether what kept a run from being read may be over the next time: too many open files, a slow disk."""
+    cause = error if isinstance(error, OSError) else error.__cause__
+    return isinstance(cause, OSError) and not isinstance(cause, NotPlainError)

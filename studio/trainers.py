@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO
 
 import morph_core
+from morph_core import inside
 from morph_core.run_folder import RunFolder
 
 RESERVE_DELAY = 10.0
@@ -17,14 +18,16 @@ RESERVE_DELAY = 10.0
 
 
 def spawn_trainer(
-    folder: RunFolder, *, further: int | None = None, held: Sequence[int] = ()
+    folder: RunFolder, *, further: int | None = None, from_start: bool = False, held: Sequence[int] = ()
 ) -> subprocess.Popen[bytes]:
     """Start the trainer of a run as a process of its own; it inherits the file descriptors `held`, and so the locks."""
     path = folder.path.resolve()
     words = ["--run", str(path)]
     if further is not None:
         words += ["--further", str(further)]
-    with (path / "trainer.log").open("ab") as log:
+    if from_start:
+        words.append("--from-start")
+    with os.fdopen(inside.open_plain(path, "trainer.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND), "ab") as log:
         return _popen(words, stdin=subprocess.DEVNULL, output=log, cwd=path, held=held)
 
 
@@ -43,7 +46,9 @@ class Reserve:
             if not self._closed and (self._ready is None or self._ready.poll() is not None):
                 self._ready = _popen(["--standby"], stdin=subprocess.PIPE, output=subprocess.DEVNULL, cwd=None)
 
-    def spawn(self, folder: RunFolder, *, further: int | None = None) -> subprocess.Popen[bytes]:
+    def spawn(
+        self, folder: RunFolder, *, further: int | None = None, from_start: bool = False
+    ) -> subprocess.Popen[bytes]:
         """Start the trainer of a run: the one in reserve, or a new one if there is none."""
         with self._lock:
             trainer, self._ready = self._ready, None
@@ -52,15 +57,15 @@ class Reserve:
                 self._timer.daemon = True
                 self._timer.start()
         if trainer is not None and trainer.stdin is not None:
-            order = json.dumps({"run": str(folder.path.resolve()), "further": further}) + "\n"
+            order = {"run": str(folder.path.resolve()), "further": further, "from_start": from_start}
             try:
-                trainer.stdin.write(order.encode())
+                trainer.stdin.write(json.dumps(order).encode() + b"\n")
                 trainer.stdin.close()
             except OSError:
                 trainer.wait()
             else:
                 return trainer
-        return spawn_trainer(folder, further=further)
+        return spawn_trainer(folder, further=further, from_start=from_start)
 
     def close(self) -> None:
         """End the trainer in reserve; trainers at work go on."""

@@ -634,7 +634,13 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/train.py", "core/test_train.py::test_the_end_that_a_budget_sets_is_foreseen",
         ("max(0, self._budget - self._env_steps)", "self._budget"),
-        ("np.mean([steps for _, steps in self._pace]) if self._pace else self._longest_iteration", "1"),
+        ("self._pace.env_steps or self._longest_iteration", "1"),
+    ),
+    *_of(
+        f"{CORE}/pace.py", "core/test_pace.py",
+        ("self._taken[1:] or self._taken", "self._taken"),
+        ("self._taken[-_WINDOW:]", "self._taken"),
+        ("seconds * iterations", "seconds"),
     ),
     *_of(
         f"{CORE}/train.py", "core/test_steered.py",

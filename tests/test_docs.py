@@ -34,7 +34,19 @@ COMMANDS = [
 
 def test_readme_and_docs_show_every_command() -> None:
     shown = {shlex.split(command)[1] for command in COMMANDS}
-    assert shown == {"serve", "train", "study", "runs", "log", "replay", "evaluate", "export", "verify", "import"}
+    assert shown == {
+        "serve",
+        "train",
+        "study",
+        "runs",
+        "log",
+        "replay",
+        "evaluate",
+        "compare",
+        "export",
+        "verify",
+        "import",
+    }
 
 
 @pytest.mark.parametrize("command", COMMANDS)

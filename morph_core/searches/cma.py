@@ -54,5 +54,6 @@ class Cma(Search):
         es = cma.CMAEvolutionStrategy(problem.start[free] / scale, self.sigma0, options)
         while not es.stop():
             population = es.ask()
-            es.tell(population, physics.costs(problem.dataset, complete(np.array(population))).tolist())
+            physics.generation = complete(np.array(population))
+            es.tell(population, physics.costs(problem.dataset, physics.generation).tolist())
         return complete(np.asarray(es.result.xbest)[None])[0]

@@ -69,7 +69,8 @@ class CmaDebiased(Search):
         es, means = cma.CMAEvolutionStrategy(np.zeros(len(whiten)), self.sigma0, options), []
         while not es.stop():
             steps = es.ask()
-            es.tell(steps, costs(designs(np.array(steps))).tolist())
+            problem.physics.generation = designs(np.array(steps))
+            es.tell(steps, costs(problem.physics.generation).tolist())
             means.append(es.mean)
         step = np.mean(means[len(means) // 2 :], 0)
         return designs(step[None] * min(1.0, self.limit / (np.linalg.norm(step) + 1e-12)))

@@ -358,6 +358,12 @@ class GraspTask(Settings, Task):
     def qpos(self, s: np.ndarray) -> np.ndarray:
         return s[:, : self._nq]
 
+    def qvel(self, s: np.ndarray) -> np.ndarray:
+        return s[:, self._nq : self._nq + self._nv]
+
+    def ctrl(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return np.clip(s[:, : self.hand.joints] + a, *self.hand.joint_range.T)
+
 
 def add_free_body(spec: mujoco.MjSpec, height: float) -> mujoco.MjsBody:
     """Return a new body "object", free to move."""

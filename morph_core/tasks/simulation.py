@@ -41,6 +41,10 @@ class Simulated(Protocol):
         """Return qpos (N, nq), qvel (N, nv) and the warm start (N, nv) of states s."""
         ...
 
+    def ctrl(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the servos' targets (N, joints) while a is executed from states s on."""
+        ...
+
     def change(self, s: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Return z (N, z_size) of a step from one state to another."""
         ...
@@ -81,8 +85,7 @@ class HandPhysics:
         fields = [batch.bind(name) for name in ("qpos", "qvel", "qacc_warmstart")]
         for live, part in zip(fields, task.split(s), strict=True):
             live[:] = part
-        joints = task.hand.joints
-        batch.bind("ctrl")[:] = np.clip(s[:, :joints] + a, *task.hand.joint_range.T)
+        batch.bind("ctrl")[:] = task.ctrl(s, a)
         batch.bind("time")[:] = 0.0
         warnings = batch.warning
         warnings[:] = 0

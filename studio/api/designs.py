@@ -1,14 +1,18 @@
 """What a run has produced: traces, designs, recorded episodes and exports."""
 
+import io
 from collections.abc import Callable
 from typing import Annotated
 
 import anyio.to_thread
+import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 
+from morph_core.catalogue import make_task
+from morph_core.forces import contact_forces
 from morph_core.history import History
-from morph_core.protocol import InjectDesign
-from morph_core.run_folder import RunFolderError
+from morph_core.protocol import InjectDesign, Which
+from morph_core.run_folder import RunFolderError, episode_bytes, read_episode
 from studio.api.messages import (
     Accepted,
     Checked,
@@ -29,11 +33,18 @@ from studio.export.design_file import phi_for, read_design, starting_from
 from studio.new_run import StartRun
 from studio.runs import Runs
 
-MAX_EPISODE = 256 << 20
 Formats = Annotated[
     list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step, ros, ros2_control; repeated or with commas")
 ]
 OtherPhi = Annotated[list[float] | None, Query(description="All values of another design in its place; repeated")]
+WhichEpisode = Annotated[
+    Which | None,
+    Query(description="median, best, worst or failed, by return; without it the file as recorded, with all of them"),
+]
+WithForces = Annotated[
+    bool,
+    Query(description="Add contact_points (T + 1, C, 3) m and contact_forces (T + 1, C, 3) N, worked out by MuJoCo"),
+]
 _FILE = {"schema": {"type": "string", "format": "binary"}}
 _DESIGN_BODY = {
     "requestBody": {
@@ -56,18 +67,26 @@ def designs_of(history: History) -> Designs:
     return Designs([p.name for p in parameters], [p.unit for p in parameters], best, latest, path)
 
 
-def episode_of(history: History, iteration: str) -> bytes:
-    """Return the npz file of one recorded episode. Raise RunFolderError with the choices if there is none."""
+def episode_of(history: History, iteration: str, which: Which | None = None, *, forces: bool = False) -> bytes:
+    """Return one recorded episode of an iteration as an npz file; where `which` is None, the file as it was written.
+
+    With `forces` it also has the contact forces. Raise RunFolderError with the choices if there is no such episode.
+    """
     folder = history.folder
-    recorded = {int(p.stem): p for p in folder.episodes.glob("[0-9]*.npz") if p.stem.isdecimal()}
-    path = recorded.get(int(iteration)) if iteration.isdecimal() and len(iteration) <= 12 else None
-    if path is None:
-        choices = ", ".join(str(i) for i in sorted(recorded)) or "none yet"
+    recorded = folder.episode_iterations()
+    if not iteration.isdecimal() or len(iteration) > 12 or int(iteration) not in recorded:
+        choices = ", ".join(map(str, recorded)) or "none yet"
         raise RunFolderError(f"{folder.id} has no episode of iteration {iteration[:40]}; choose from: {choices}")
-    # A folder from elsewhere may hold links to other files of this machine.
-    if path.is_symlink() or folder.episodes.is_symlink() or not path.is_file() or path.stat().st_size > MAX_EPISODE:
-        raise RunFolderError(f"episode {iteration} of {folder.id} is no plain file of a sensible size")
-    return path.read_bytes()
+    if which is None and not forces:
+        return episode_bytes(folder, int(iteration))
+    arrays = read_episode(folder, int(iteration), which)
+    if forces:
+        task = make_task(history.record.task, history.record.task_options)
+        found = contact_forces(task, arrays["phi"], arrays)
+        arrays |= {"contact_points": found.points, "contact_forces": found.forces}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
+    return buffer.getvalue()
 
 
 def designs_router(runs: Runs, export: Export) -> APIRouter:
@@ -97,11 +116,12 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         "/episodes/{iteration}",
         response_class=Response,
         responses=gives_file("application/octet-stream", "A numpy npz file"),
-        summary="One recorded episode on Hw-Phy",
+        summary="A recorded episode of an evaluation on Hw-Phy, with its contact forces on request",
     )
-    def episode(run_id: str, iteration: str) -> Response:
-        content = episode_of(runs.get(run_id), iteration)
-        return _download(f"{run_id}-{int(iteration):06d}.npz", content, "application/octet-stream")
+    def episode(run_id: str, iteration: str, which: WhichEpisode = None, forces: WithForces = False) -> Response:
+        content = episode_of(runs.get(run_id), iteration, which, forces=forces)
+        name = f"{run_id}-{int(iteration):06d}{f'-{which}' if which else ''}.npz"
+        return _download(name, content, "application/octet-stream")
 
     @router.get(
         "/designs/{which}/export",

@@ -10,11 +10,13 @@ from fastapi import Request, Response
 from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Progress
 from studio.fields import Field
 from studio.log import LogEntry
+from studio.moments import Moment
 from studio.new_run import Number, StartRun
 from studio.runs import Row, Summary
 from studio.shelf.marks import Marks, MarksChange
 from studio.shelf.traces import Overlay
 from studio.shelf.trash import Trashed
+from studio.viewer.view import Seen, View
 from studio.what_if import SweepPoint, WhatIf, Wish
 
 MAX_BODY = 1 << 20
@@ -27,6 +29,8 @@ class ResumeRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     further: Number | None = None
     """Number of iterations beyond the last recorded one; without it the run goes on to the planned number."""
+    from_start: bool = False
+    """Whether a run of which no checkpoint can be read any more begins anew, which gives up what it had learnt."""
 
 
 class TaskInfo(msgspec.Struct, frozen=True):
@@ -199,8 +203,9 @@ def reply(message: object, status: int = 200) -> Response:
 
 
 _KINDS = (
-    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Metrics, Designs, Checked, Health, Refusal,
-    AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
+    StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Moment, Metrics, Designs, Checked, Health,
+    Refusal, AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
+    View, Seen,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

@@ -10,6 +10,7 @@ from morph_core.run_folder import RunFolderError
 from studio.api.messages import Accepted, ResumeRun, RunState, body_of, gives, reply, sender_of, takes
 from studio.branches import children_of
 from studio.log import LogEntry, log_of
+from studio.moments import Moment, moment_of
 from studio.new_run import StartRun
 from studio.runs import Runs, Summary
 
@@ -77,6 +78,14 @@ def runs_router(runs: Runs) -> APIRouter:
     def log(run_id: str) -> Response:
         return reply(log_of(runs.get(run_id)))
 
+    @router.get(
+        "/{run_id}/moments/{which}",
+        responses=gives(Moment),
+        summary="A run at best, latest or an iteration: its design, and what was in force",
+    )
+    def moment(run_id: str, which: str) -> Response:
+        return reply(moment_of(runs.get(run_id), which))
+
     @router.post(
         "/{run_id}/resume",
         status_code=202,
@@ -85,10 +94,10 @@ def runs_router(runs: Runs) -> APIRouter:
         summary="Start a trainer that goes on from the newest checkpoint",
     )
     def resume(run_id: str, wish: Annotated[ResumeRun, Depends(body_of(ResumeRun))]) -> Response:
-        runs.resume(run_id, wish.further)
+        runs.resume(run_id, wish.further, wish.from_start)
         return reply(state_of(runs, run_id), 202)
 
-    @router.post("/{run_id}/show", responses=gives(RunState), summary="Let the viewer show this run")
+    @router.post("/{run_id}/show", responses=gives(RunState), summary="Let every open browser show this run")
     def show(
         run_id: str,
         iteration: Annotated[int | None, Query(ge=0, description="Iteration whose design is shown; 0: initial")] = None,

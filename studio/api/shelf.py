@@ -19,10 +19,9 @@ from studio.shelf.trash import Trashed
 _PAGE = Path(str(files("studio") / "page" / "runs.html"))
 
 
-def shelf_router(runs: Runs) -> APIRouter:
+def shelf_router(runs: Runs, thumbnails: Thumbnails) -> APIRouter:
     """Return the routes of the runs page."""
     router = APIRouter(tags=["shelf"])
-    thumbnails = Thumbnails()
 
     @router.get("/runs", include_in_schema=False)
     def page() -> Response:
@@ -52,6 +51,20 @@ def shelf_router(runs: Runs) -> APIRouter:
     )
     def mark(run_id: str, change: Annotated[MarksChange, Depends(body_of(MarksChange))]) -> Response:
         return reply(runs.mark(run_id, change))
+
+    @router.put(
+        "/api/runs/{run_id}/designs/{which}/star",
+        responses=gives(Marks),
+        summary="Star a design of a run: best, latest or an iteration",
+    )
+    def star(run_id: str, which: str) -> Response:
+        return reply(runs.star(run_id, which, True))
+
+    @router.delete(
+        "/api/runs/{run_id}/designs/{which}/star", responses=gives(Marks), summary="Take the star of a design away"
+    )
+    def unstar(run_id: str, which: str) -> Response:
+        return reply(runs.star(run_id, which, False))
 
     @router.get(
         "/api/runs/{run_id}/thumbnail.png",

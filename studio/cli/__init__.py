@@ -1,4 +1,4 @@
-"""The command line `morph-studio`: serve, train, study, runs, log, replay, evaluate, export, verify, import."""
+"""The command line `morph-studio`, one module for each of its commands."""
 
 import importlib
 import os
@@ -15,6 +15,7 @@ COMMANDS = {
     "log": "print what was done to a run",
     "replay": "do a run again from its seed and its log, and compare",
     "evaluate": "measure success and return of a design on Hw-Phy",
+    "compare": "compare two designs of any runs of one task: success, return, phi and masses",
     "export": "write a design for simulators, printers and people",
     "verify": "check that what an export holds is one robot, and that its policy works",
     "import": "read a design and go on from it: in a running run, or in a new one",

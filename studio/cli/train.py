@@ -1,8 +1,8 @@
 """`morph-studio train`: co-optimise body and controller without a browser, or go on with a run."""
 
+import functools
 import json
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,8 @@ from morph_core.design import DesignSpace
 from morph_core.history import History
 from morph_core.origin import Origin, origin_at
 from morph_core.protocol import Parameter, Resume
-from morph_core.run_folder import LAUNCH, RunFolder, process_alive
+from morph_core.pulse import at_work
+from morph_core.run_folder import LAUNCH, RunFolder
 from studio.cli.arguments import RunsArguments, UsageError, value_after
 from studio.cli.choice import open_run, place_of
 from studio.cli.follow import Outcome, follow
@@ -26,9 +27,6 @@ from studio.log import sender_here
 from studio.new_run import Branch, StartRun, method_at, prepare_run, space_at
 from studio.study.slurm import Slurm, slurm_launch
 from studio.trainers import spawn_trainer
-
-BEATS_WITHIN = 3.0
-"""Seconds in which the heartbeat of a living trainer, here or on another machine, changes."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +45,8 @@ class TrainArguments(RunsArguments):
     """Budget of a new run: it ends after the iteration that reaches N environment steps, or after --iterations."""
     resume: Annotated[str | None, tyro.conf.arg(metavar="RUN")] = None
     """Run to go on with from its newest checkpoint: its name, or the path of its folder."""
+    from_start: bool = False
+    """Whether a run that --resume finds without a readable checkpoint begins anew, which gives up what it learnt."""
     branch: Annotated[str | None, tyro.conf.arg(metavar="RUN[@ITERATION]")] = None
     """Run to branch from, at an iteration or at its last one: a new run beside it begins with the nearest checkpoint up
     to there. It is like its parent in all that no flag changes; one with nothing changed goes on as its parent did."""
@@ -78,10 +78,18 @@ def main(words: Sequence[str]) -> int:
         raise UsageError(f"train: --iterations must be at least 1, not {asked.iterations}")
     if asked.resume is not None and asked.env_steps is not None:
         raise UsageError("train: a run keeps the budget it was started with: leave out --env-steps")
+    if asked.from_start and asked.resume is None:
+        raise UsageError("train: --from-start goes with --resume RUN; a new run begins at the start anyway")
     folder, further = _resumed(wanted) if asked.resume is not None else (_prepared(found), None)
     if slurm_launch(folder):
+        if asked.from_start:
+            raise UsageError(f"train: {folder.id} came from Slurm's queue, from which a run can't begin anew")
         return _requeue(folder, further, quiet=asked.json)
-    outcome = follow(folder, lambda: spawn_trainer(folder, further=further), quiet=asked.json)
+    spawn = functools.partial(spawn_trainer, folder, further=further, from_start=asked.from_start)
+    try:
+        outcome = follow(folder, spawn, quiet=asked.json)
+    except OSError as error:
+        raise UsageError(f"train: {folder.id} can't be written to: {error}") from error
     if asked.json:
         json.dump(_document(History(folder), outcome), sys.stdout, indent=2)
         sys.stdout.write("\n")
@@ -178,7 +186,7 @@ def _resumed(wanted: Wanted) -> tuple[RunFolder, int | None]:
     if given or wanted.task_options:
         names = ", ".join("--" + name.replace("_", "-") for name in (*given, *wanted.task_options))
         raise UsageError(f"{folder.id} keeps what it was started with: leave out {names}, or start a new run")
-    if _trainer_at_work(folder):
+    if at_work(folder.heartbeat):
         raise UsageError(f"{folder.id} is {history.status}: its trainer is at work; watch it with morph-studio serve")
     if asked.iterations is None and (history.status == "finished" or history.iteration >= record.iterations):
         done = f"{folder.id} is done after {history.iteration} iterations"
@@ -208,19 +216,6 @@ def _requeue(folder: RunFolder, further: int | None, quiet: bool) -> int:
         at = f"at work on {place.where}" if place.where else f"queued: {place.why}"
         print(f"{folder.id} is {at}; morph-studio runs shows how it does", file=sys.stderr)  # noqa: T201
     return 0
-
-
-def _trainer_at_work(folder: RunFolder) -> bool:
-    """Tell whether a trainer holds the folder; one just killed here leaves a heartbeat that looks alive, but stands."""
-    beat = folder.heartbeat()
-    if beat is None or not folder.trainer_alive():
-        return False
-    deadline = time.monotonic() + BEATS_WITHIN
-    while time.monotonic() < deadline:
-        if process_alive(beat.pid, beat.process_started) or folder.heartbeat() != beat:
-            return True
-        time.sleep(0.1)
-    return False
 
 
 # --- what came of it --------------------------------------------------------------------------------------------------

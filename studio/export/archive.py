@@ -29,30 +29,47 @@ def read_files(path: Path) -> dict[str, bytes]:
     try:
         if path.is_dir():
             return _read_folder(path)
+        if not path.is_file():
+            raise ExportError(f"{path} is no file and no folder that can be read")
+        if path.stat().st_size > MAX_BYTES:
+            raise ExportError(f"{path} is larger than {MAX_BYTES >> 20} MiB: no bundle is")
         return unzipped(path.read_bytes())
     except OSError as error:
         raise ExportError(f"{path} can't be read: {error.strerror or error}") from error
 
 
-def unzipped(content: bytes) -> dict[str, bytes]:
-    """Return the files of a zip by their path; raise ExportError for anything hostile or unreadable."""
+def unzipped(content: bytes, only: str = "", most: int = MAX_BYTES) -> dict[str, bytes]:
+    """Return the files of a zip by their path, or `only` one of them; ExportError for anything hostile or unreadable.
+
+    Paths are plain ones, none twice, and none inside another that is a file.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = [entry for entry in archive.infolist() if not entry.is_dir()]
-            _check_size(len(entries), sum(entry.file_size for entry in entries))
+            wanted = [entry for entry in entries if only in ("", entry.filename)]
+            _check_size(len(entries), sum(entry.file_size for entry in wanted), most)
             for entry in entries:
                 check_path(entry.filename)
-            return {entry.filename: archive.read(entry) for entry in entries}
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
-        raise (
-            error if isinstance(error, ExportError) else ExportError(f"this is no zip that can be read: {error}")
-        ) from error
+            _check_apart([entry.filename for entry in entries])
+            return {entry.filename: archive.read(entry) for entry in wanted}
+    except ExportError:
+        raise
+    except Exception as error:  # zlib, lzma, bz2 and zipfile each have errors of their own
+        raise ExportError(f"this is no zip that can be read: {str(error) or type(error).__name__}") from error
+
+
+def _check_apart(names: list[str]) -> None:
+    """Raise ExportError where two files can't lie beside one another."""
+    folders = {parent.as_posix() for name in names for parent in PurePosixPath(name).parents}
+    for name in names:
+        if names.count(name) > 1 or PurePosixPath(name).as_posix() in folders:
+            raise ExportError(f"it holds {name[:60]!r} twice, or as a file and as a folder")
 
 
 def check_path(name: str) -> None:
     """Raise ExportError unless `name` is a plain relative path."""
     path = PurePosixPath(name)
-    if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name or not path.parts:
+    if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name or "\0" in name or not path.parts:
         raise ExportError(f"it holds a file with the path {name[:60]!r}: only plain relative paths are read")
 
 
@@ -64,8 +81,6 @@ def _read_folder(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
-def _check_size(files: int, size: int) -> None:
-    if files > MAX_FILES or size > MAX_BYTES:
-        raise ExportError(
-            f"it holds {files} files of {size >> 20} MiB: at most {MAX_FILES} and {MAX_BYTES >> 20} are read"
-        )
+def _check_size(files: int, size: int, most: int = MAX_BYTES) -> None:
+    if files > MAX_FILES or size > most:
+        raise ExportError(f"it holds {files} files of {size >> 20} MiB: at most {MAX_FILES} and {most >> 20} are read")

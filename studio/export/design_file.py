@@ -16,6 +16,8 @@ FILE = "design.json"
 KIND = "morph-studio design"
 FORMAT = 1
 """Format of design.json, which has not changed since the first version."""
+LARGEST = 4 << 20
+"""Largest design.json that is read, in bytes; the largest of today's tasks writes a few thousand."""
 DESIGN_TYPES = "application/json,application/zip"
 """Types of the files that a browser offers for an upload: a design.json, or a bundle."""
 
@@ -77,7 +79,7 @@ def read_design(content: bytes) -> Design:
     Raise ExportError that says what is wrong.
     """
     if content.startswith(b"PK"):
-        files = unzipped(content)
+        files = unzipped(content, only=FILE, most=LARGEST)
         if FILE not in files:
             raise ExportError(f"this zip holds no {FILE}: it is no bundle of morph-studio")
         content = files[FILE]

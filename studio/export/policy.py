@@ -8,10 +8,12 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 import safetensors
-from safetensors.numpy import load_file
+from safetensors.numpy import load
 
+from morph_core import inside
 from morph_core.history import History
 from morph_core.rollout import collect
+from morph_core.run_folder import WEIGHTS_BYTES
 from morph_core.task import Hardware, Task
 from studio.export.errors import ExportError
 from studio.robots.robot import Program
@@ -63,9 +65,9 @@ def policy_at(history: History, iteration: int, phi: np.ndarray) -> Policy | Non
     saved = [i for i in history.folder.checkpoint_iterations() if i <= iteration]
     if not saved:
         return None
-    path = history.folder.checkpoint(saved[-1]) / "weights.safetensors"
+    path = f"checkpoints/{saved[-1]:06d}/weights.safetensors"
     try:
-        tensors = load_file(path)
+        tensors = load(inside.read(history.folder.path, path, WEIGHTS_BYTES))
         weights = [tensors[f"policy/mean.{2 * i}.weight"] for i in range(LAYERS)]
         biases = [tensors[f"policy/mean.{2 * i}.bias"] for i in range(LAYERS)]
         if HARD_BOX in tensors:

@@ -21,6 +21,7 @@ from studio.export.meshes import start_posture
 from studio.export.policy import Score, read_policy, score
 from studio.export.provenance import Provenance
 from studio.export.readings import collision_box, read_mjcf
+from studio.export.screen import screen
 from studio.export.stand import check_standing
 from studio.export.urdf import NO_LIMIT, urdf_names
 from studio.export.verify import verify
@@ -38,6 +39,8 @@ _DYNAMICS = (
     "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "dof_armature", "dof_damping", "actuator_gainprm",
     "actuator_biasprm", "actuator_forcerange", "actuator_ctrlrange", "sensor_type",
 )  # fmt: skip
+_COUNTS = ("nbody", "njnt", "nv", "nu", "na", "neq", "ntendon", "npair", "nexclude", "nmocap", "nplugin", "nflex")
+"""What the physics of a model consists of; shapes that are only shown, keyframes and sensors are added for readers."""
 PROVENANCE = "provenance.json"
 Surface = tuple[np.ndarray, np.ndarray]
 """A closed surface: vertices (V, 3) m and faces (F, 3)."""
@@ -53,12 +56,65 @@ def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = Fals
         design = read_design(files.get(FILE, b""))
         task = make_task(design.task, design.task_options)
         phi = phi_for(design, task.name, task.design_space)
+        checks += screen(files, robot_of(task).file_name)
+        checks.append(_check_name(design, task))
+        if not all(check.passed for check in checks[1:]):
+            return checks  # no reader sees what asks for more than a bundle needs
+        checks += _prove_physics(files, design, task, phi)
+        if "run_policy.py" in files:
+            checks += _guarded("run_policy.py", lambda: [_check_program(files["run_policy.py"], task, phi)])
         checks += prove_robot(files, design, task, phi, only_mujoco=only_mujoco)
         if episodes and "policy.npz" in files:
             checks += prove_policy(files, task, phi, _promised(files), episodes)[1]
-    except (ValueError, TypeError) as error:
-        checks.append(Check(FILE, math.inf, 0.0, f"can't be read: {error}"))
+    except Exception as error:  # whatever is wrong with a stranger's file
+        checks.append(Check(FILE, math.inf, 0.0, f"can't be read: {str(error) or type(error).__name__}"))
     return checks
+
+
+def _check_name(design: Design, task: Task) -> Check:
+    """Check that the files are called as those of this robot are: the word becomes part of paths."""
+    expected = robot_of(task).file_name
+    same = design.robot == expected
+    return Check(f"{FILE}: robot", float(not same), 0.0, "" if same else f"{design.robot[:40]!r}, not {expected}")
+
+
+def _check_program(content: bytes, task: Task, phi: np.ndarray) -> Check:
+    """Compare the program that runs the policy with the one that this version ships."""
+    program = robot_of(task).program(phi)
+    same = program is not None and content == program.source
+    said = "" if same else "not the program that this version ships: read it before you run it"
+    return Check("run_policy.py: the program that is shipped", float(not same), 0.0, said)
+
+
+def _prove_physics(files: Mapping[str, bytes], design: Design, task: Task, phi: np.ndarray) -> list[Check]:
+    """Compare the physics options of each MJCF file, and how much of everything it holds, with what is simulated."""
+    robot = f"{design.robot}.xml"
+    checks: list[Check] = []
+    with tempfile.TemporaryDirectory() as folder:
+        unpack(files, Path(folder))
+        for file, spec in ((robot, task.spec), ("scene.xml", task.scene)):
+            if file in files:
+                path = Path(folder) / file
+                checks += _guarded(
+                    f"{file}: physics",
+                    lambda path=path, spec=spec: [
+                        compare_physics(path.name, spec(phi).compile(), mujoco.MjModel.from_xml_path(str(path)))
+                    ],
+                )
+    return checks
+
+
+def compare_physics(name: str, simulated: mujoco.MjModel, found: mujoco.MjModel) -> Check:
+    """Compare every physics option of two models, and their numbers of bodies, joints, servos and colliding shapes."""
+    off: dict[str, float] = {}
+    for option in (option for option in dir(simulated.opt) if not option.startswith("_")):
+        one, other = (np.asarray(getattr(model.opt, option), dtype=float) for model in (simulated, found))
+        off[option] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
+    for count in _COUNTS:
+        off[count] = float(abs(getattr(simulated, count) - getattr(found, count)))
+    one, other = (int(((m.geom_contype != 0) | (m.geom_conaffinity != 0)).sum()) for m in (simulated, found))
+    off["colliding shapes"] = float(abs(one - other))
+    return worst(f"{name}: physics options and what there is", SCENE_ALLOWED, off)
 
 
 def prove_robot(

@@ -74,9 +74,7 @@ def _read_mujoco(
         limits={name: joint_limits(model, j, float(zero[j])) for name, j in moving.items()},
         efforts={name: joint_effort(model, j) for name, j in moving.items()},
         dampings={name: float(model.dof_damping[model.jnt_dofadr[j]]) for name, j in moving.items()},
-        extents={
-            links[i]: box for i in range(1, model.nbody) if (box := collision_box(model, i, offsets[i])) is not None
-        },
+        extents={links[i]: box for i in range(model.nbody) if (box := collision_box(model, i, offsets[i])) is not None},
         poses=poses,
     )
 

@@ -27,6 +27,8 @@ ROTATION_ALLOWED = 1e-9
 RELATIVE_ALLOWED = 1e-9
 DROPPED_MASS = 1e-6
 """kg: Gazebo takes a link of no more than this for one without mass."""
+FRAME_MASS = 1e-3
+"""kg: what a link may weigh that stands for a place on a body, and is given a weight for readers that need one."""
 
 
 def verify(
@@ -101,7 +103,7 @@ def _read_packaged(folder: Path, path: str) -> Reading:
 
 
 def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
-    """Return one check per property; a body or joint that is missing differs by infinity."""
+    """Return one check per property; a body or joint that is missing, or too many, differs by infinity."""
     properties = [
         ("masses", reference.masses, reading.masses),
         ("inertias", reference.inertias, reading.inertias),
@@ -115,10 +117,11 @@ def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
         for body, box in reference.extents.items()
     }
     checks.append(worst(f"{name}: collision extents (m)", POSITION_ALLOWED, extents))
+    checks.append(worst(f"{name}: nothing added", 0.0, _added(reference, reading)))
     positions: dict[str, float] = {}
     rotations: dict[str, float] = {}
     for posture in postures(reference.limits):
-        found = reading.poses(posture)
+        found = reading.poses(posture | dict.fromkeys(reading.limits.keys() - posture.keys(), 0.0))
         for body, pose in reference.poses(posture).items():
             off = np.abs(found[body] - pose) if body in found else np.full((4, 4), math.inf)
             positions[body] = max(positions.get(body, 0.0), float(off[:3, 3].max()))
@@ -128,6 +131,19 @@ def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
         worst(f"{name}: positions in {POSTURES} postures (m)", POSITION_ALLOWED, positions),
         worst(f"{name}: rotations in {POSTURES} postures", ROTATION_ALLOWED, rotations),
     ]
+
+
+def _added(reference: Reading, reading: Reading) -> dict[str, float]:
+    """Return what `reading` has and `reference` has not, by name: bodies, joints, shapes, and the weight of frames.
+
+    What stands fixed in the world is a link of its own for readers of URDF alone: its shapes are not compared here.
+    """
+    known = {**reference.poses(dict.fromkeys(reference.limits, 0.0)), **reference.masses, **reference.extents}
+    joints = reading.limits.keys() - reference.limits.keys()
+    shapes = (reading.extents.keys() & known.keys()) - reference.extents.keys()
+    added = {name: reading.masses[name] for name in reading.masses.keys() - reference.masses.keys()}
+    heavy = {name: mass for name, mass in added.items() if not mass <= FRAME_MASS}
+    return dict.fromkeys(joints | shapes, math.inf) | heavy
 
 
 def postures(limits: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:

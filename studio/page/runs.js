@@ -302,13 +302,8 @@ async function listTrash() {
   find("empty-trash").textContent = "Empty the trash";
 }
 
-async function open(run, iteration) {
-  try {
-    await ask(address(run, iteration === undefined ? "/show" : `/show?iteration=${iteration}`), "POST");
-    location.assign("/");
-  } catch (error) {
-    tell(error.message);
-  }
+function open(run, iteration) {
+  location.assign(`/?${new URLSearchParams(iteration === undefined ? { run } : { run, iteration })}`);
 }
 
 // --- the comparison --------------------------------------------------------------------------------------------------

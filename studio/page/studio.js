@@ -4,6 +4,7 @@ const INTERVAL = 1000;
 const HIDDEN_INTERVAL = 5000;
 const PATIENCE = 15000;
 const GIVEN_UP = "__given_up__";
+const UNCONNECTED = 8000; // milliseconds after which a viewer that has lost its server is opened anew
 
 const find = (id) => document.getElementById(id);
 const [chooser, chip, statusWord, doing, progress] = ["chooser", "chip", "status", "doing", "progress"].map(find);
@@ -14,13 +15,48 @@ let boot = null;
 let reachable = true;
 let dismissed = "";
 let choosing = 0;
+let connected = performance.now();
+
+// What this page shows: run and iteration stand in its address, what is ticked in this browser's storage. The viewer of
+// this page has a key, under which the server tells and is told what is shown.
+const key = crypto.randomUUID ? crypto.randomUUID() : Array.from(crypto.getRandomValues(new Uint8Array(16)), (b) => b.toString(16).padStart(2, "0")).join("");
+const address = new URLSearchParams(location.search);
+let view = {
+  run: address.get("run"),
+  iteration: /^\d{1,6}$/.test(address.get("iteration") ?? "") ? Number(address.get("iteration")) : null,
+  ticks: remembered("morph-ticks") ?? {},
+};
+
+function remembered(name) {
+  try {
+    return JSON.parse(localStorage.getItem(name));
+  } catch {
+    return null;
+  }
+}
+
+async function putView(wanted) {
+  view = { ...view, ...wanted };
+  const body = JSON.stringify(view);
+  await fetch(`/api/desks/${key}`, { method: "PUT", headers: { "Content-Type": "application/json" }, body }).catch(() => null);
+}
+
+function keepView(seen) {
+  view = { run: seen.run, iteration: seen.iteration, ticks: { ...view.ticks, ...seen.ticks } };
+  localStorage.setItem("morph-ticks", JSON.stringify(view.ticks));
+  const query = new URLSearchParams();
+  if (view.run !== null) query.set("run", view.run);
+  if (view.iteration !== null) query.set("iteration", view.iteration);
+  const wanted = query.size ? `/?${query}` : "/";
+  if (wanted !== location.pathname + location.search) history.replaceState(null, "", wanted);
+}
 
 // --- the viewer ------------------------------------------------------------------------------------------------------
 
 // While the viewer's client loads, which can take seconds, the page itself shows the task and offers the start.
 async function showPreview() {
   const [{ tasks }, runs] = await Promise.all([ask("/api/tasks"), ask("/api/runs")]);
-  const current = runs.find((run) => run.current);
+  const current = runs.find((run) => run.id === view.run) ?? runs.find((run) => run.current);
   const task = tasks.find((each) => each.name === current?.task) ?? tasks[0];
   preview.src = `/api/tasks/${task.name}/preview.svg`;
   preview.hidden = false;
@@ -36,16 +72,20 @@ first.addEventListener("submit", async (event) => {
   button.disabled = true;
   const body = JSON.stringify({ task: first.dataset.task });
   const response = await fetch("/api/runs", { method: "POST", headers: { "Content-Type": "application/json" }, body });
-  if (!response.ok) say((await response.json()).detail, "run");
+  const answer = await response.json();
+  if (response.ok) await putView({ run: answer.id, iteration: null });
+  else say(answer.detail, "run");
   first.hidden = response.ok;
   button.disabled = false;
   await look();
 });
 
-function openViewer() {
+async function openViewer() {
   loading.hidden = false;
+  connected = performance.now() + PATIENCE;
   showPreview().catch(() => null); // the banner says what is wrong with the server
-  viewer.src = document.documentElement.dataset.theme === "dark" ? "/viewer/?darkMode" : "/viewer/";
+  await putView({});
+  viewer.src = `/viewer/${key}/${document.documentElement.dataset.theme === "dark" ? "?darkMode" : ""}`;
   const started = performance.now();
   const timer = setInterval(() => {
     // The canvas comes early and stays empty until the server's panels and scene have arrived.
@@ -54,6 +94,7 @@ function openViewer() {
       clearInterval(timer);
       loading.hidden = true;
       focusViewer();
+      dispatchEvent(new Event("viewer-opened"));
     }
   }, 100);
 }
@@ -70,6 +111,38 @@ theme.addEventListener("click", () => {
   openViewer();
 });
 
+// --- keys ------------------------------------------------------------------------------------------------------------
+
+const typing = (event) => event.target instanceof event.view.Element && event.target.closest("input, textarea, select, [contenteditable=true], dialog[open]");
+
+function hear(event) {
+  if (event.key !== "?" || typing(event)) return false;
+  event.preventDefault();
+  find("keys").showModal();
+  return true;
+}
+
+// A key that nothing on this page takes is meant for the viewer.
+document.addEventListener("keydown", (event) => {
+  if (hear(event) || typing(event) || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.target.closest("button, a, #tour") && [" ", "Enter", "Tab", "Escape"].includes(event.key)) return;
+  const { key, code, shiftKey } = event;
+  viewer.contentDocument?.documentElement.dispatchEvent(new KeyboardEvent("keydown", { key, code, shiftKey, bubbles: true }));
+  focusViewer();
+});
+
+viewer.addEventListener("load", () => {
+  viewer.contentDocument.addEventListener("keydown", hear);
+  // An arrow moves the slider that has the focus, and not the timeline too.
+  viewer.contentDocument.body.addEventListener("keydown", (event) => {
+    if (event.key.startsWith("Arrow") && event.target.closest("[role=slider], [role=tab]")) event.stopPropagation();
+  });
+});
+
+find("help").addEventListener("click", () => find("keys").showModal());
+find("close").addEventListener("click", () => find("keys").close());
+find("keys").addEventListener("close", focusViewer);
+
 // --- the bar ---------------------------------------------------------------------------------------------------------
 
 const percent = (share) => `${Math.round(share * 100)} %`;
@@ -84,7 +157,7 @@ function describe(run) {
   const parts = [];
   if (run.stage) parts.push(run.stage);
   if (run.iterations) parts.push(`iteration ${run.iteration} of ${run.iterations}`);
-  if (run.eta_seconds !== null) parts.push(`${duration(run.eta_seconds)} left`);
+  if (run.eta_seconds !== null && run.status === "running") parts.push(`${duration(run.eta_seconds)} left`);
   if (run.success !== null) parts.push(`success ${percent(run.success)}`);
   return parts.join("  ·  ");
 }
@@ -97,9 +170,9 @@ function option(value, text, title, disabled) {
 
 function listRuns(runs, current) {
   if (document.activeElement === chooser || Date.now() - choosing < 1500) return; // not while it is open
-  const prompt = runs.length ? "choose a run" : "no runs yet";
+  const prompt = runs.length ? "a new run" : "no runs yet";
   const options = runs.map((run) => option(run.id, `${run.id}  ·  ${run.status}`, run.reason, run.status === "unreadable"));
-  if (!current) options.unshift(option("", prompt, "", true));
+  if (!current) options.unshift(option("", view.run ? `${view.run}  ·  gone` : prompt, "", true));
   const signature = options.map((o) => o.textContent).join("\n");
   if (chooser.dataset.signature !== signature) {
     chooser.replaceChildren(...options);
@@ -111,8 +184,14 @@ function listRuns(runs, current) {
 
 chooser.addEventListener("change", async () => {
   choosing = Date.now();
-  await fetch(`/api/runs/${encodeURIComponent(chooser.value)}/show`, { method: "POST" }).catch(() => null);
+  await putView({ run: chooser.value, iteration: null });
   chooser.blur();
+  focusViewer();
+  await look();
+});
+
+find("new").addEventListener("click", async () => {
+  await putView({ run: null, iteration: null });
   focusViewer();
   await look();
 });
@@ -148,6 +227,7 @@ function sayRun(run) {
   const reason = run?.reason ? `: ${run.reason}` : "";
   if (run && ["failed", "lost", "unreadable"].includes(run.status)) say(`${run.status}${reason}  (${run.id})`, "run");
   else if (run?.status === "paused" && run.stage !== "paused") say(`paused${reason}`, "note");
+  else if (!run && view.run) say(`${view.run} is no longer in the folder of runs: it was deleted or moved. Choose another run, or bring it back on the page of all runs.`, "note");
   else say("", "run");
 }
 
@@ -170,16 +250,22 @@ async function look() {
       say("The server was started anew: open the link it printed in its terminal.", "server");
       return;
     }
-    if (restarted) openViewer();
+    if (restarted) await openViewer();
     else if (!reachable) focusViewer();
     reachable = true;
-    const current = runs.find((run) => run.current);
+    const seen = await ask(`/api/desks/${key}`);
+    if (seen.connected) {
+      connected = Math.max(connected, performance.now());
+      keepView(seen);
+    } else if (performance.now() - connected > UNCONNECTED) await openViewer(); // after a sleep, or a lost network
+    const current = runs.find((run) => run.id === view.run);
     listRuns(runs, current);
     showRun(current);
     sayRun(current);
   } catch {
     reachable = false;
-    say("The server does not answer; trying again. Runs go on without it.", "server");
+    const where = navigator.onLine ? "The server does not answer" : "This device is offline";
+    say(`${where}; trying again. Runs go on without this page, and it comes back to where it was.`, "server");
   }
 }
 
@@ -190,5 +276,6 @@ async function watch() {
 }
 
 document.addEventListener("visibilitychange", () => document.hidden || look());
+addEventListener("online", () => look());
 openViewer();
 watch();

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import msgspec
 
-from morph_core import durable
+from morph_core import durable, inside
 
 FILE = "marks.json"
+MOST_STARS = 100
+"""Largest number of designs of a run that are starred."""
 LONGEST_NAME, LONGEST_NOTE, LONGEST_TAG, MOST_TAGS = 80, 2000, 32, 12
 """Largest numbers of characters in a name, a note and a tag, and of tags."""
 _LARGEST_FILE = 64 << 10
@@ -26,6 +28,8 @@ class Marks(msgspec.Struct, frozen=True, kw_only=True):
     tags: tuple[str, ...] = ()
     archived: bool = False
     """Whether lists leave the run out unless they are asked for it."""
+    starred_designs: tuple[int, ...] = ()
+    """Iterations whose designs are starred."""
 
 
 class MarksChange(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -44,9 +48,8 @@ _decoder = msgspec.json.Decoder(Marks)
 def read_marks(folder: Path) -> Marks:
     """Return the marks of the run in `folder`; none where there is no such file, or one that can't be used."""
     try:
-        with (folder / FILE).open("rb") as file:
-            return _checked(_decoder.decode(file.read(_LARGEST_FILE)))
-    except (OSError, ValueError):  # a run's list is worth more than what somebody wrote into this file
+        return _checked(_decoder.decode(inside.read(folder, FILE, _LARGEST_FILE)))
+    except (OSError, ValueError, RecursionError):  # a run's list is worth more than what somebody wrote into this file
         return Marks()
 
 
@@ -59,6 +62,12 @@ def changed(marks: Marks, change: MarksChange) -> Marks:
     """Return marks with a change. Raise ValueError that says what is allowed."""
     wanted = {name: value for name, value in msgspec.structs.asdict(change).items() if value is not msgspec.UNSET}
     return _checked(msgspec.structs.replace(marks, **wanted))
+
+
+def with_star(marks: Marks, iteration: int, starred: bool) -> Marks:
+    """Return marks with the design of an iteration starred, or not. Raise ValueError that says what is allowed."""
+    others = set(marks.starred_designs) - {iteration}
+    return _checked(msgspec.structs.replace(marks, starred_designs=tuple(others | ({iteration} if starred else set()))))
 
 
 def _checked(marks: Marks) -> Marks:
@@ -76,7 +85,10 @@ def _checked(marks: Marks) -> Marks:
             raise ValueError(f'a tag has at most {LONGEST_TAG} characters and no comma: "{tag[:LONGEST_TAG]}"')
     for text in (name, note, *tags):
         _refuse_unseen(text)
-    return msgspec.structs.replace(marks, name=name, note=note, tags=tags)
+    designs = tuple(sorted(set(marks.starred_designs)))
+    if len(designs) > MOST_STARS:
+        raise ValueError(f"at most {MOST_STARS} designs of a run are starred, these are {len(designs)}")
+    return msgspec.structs.replace(marks, name=name, note=note, tags=tags, starred_designs=designs)
 
 
 def _line(text: str) -> str:

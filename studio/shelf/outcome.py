@@ -6,7 +6,9 @@ from pathlib import Path
 
 import msgspec
 
+from morph_core import inside
 from morph_core.protocol import AnyEvent, Evaluation, Progress, StateChanged, decode_event
+from morph_core.run_folder import EVENTS_BYTES
 
 _EVERY_ITERATION = b'"kind":"progress"'
 """Words by which a line that tells of an iteration is known; one that is written otherwise is read like any other."""
@@ -76,21 +78,21 @@ def evaluations_of(events: Iterable[AnyEvent]) -> list[Evaluation]:
     return evaluations
 
 
-def landmarks(log: Path) -> list[AnyEvent]:
-    """Return the events of a log without those iterations that another one follows; whole lines alone count."""
+def landmarks(folder: Path) -> list[AnyEvent]:
+    """Return the events of a run without those iterations that another one follows; whole lines alone count."""
     try:
-        lines = log.read_bytes().splitlines(keepends=True)
+        lines = [
+            line for text in inside.whole_lines(folder, "events.jsonl", 0, EVENTS_BYTES) for line in text.splitlines()
+        ]
     except OSError:
         return []
-    if lines and not lines[-1].endswith(b"\n"):
-        del lines[-1]
     events = []
     for line, following in zip_longest(lines, lines[1:], fillvalue=b""):
         if _EVERY_ITERATION in line and _EVERY_ITERATION in following:
             continue
         try:
             events.append(decode_event(line))
-        except msgspec.DecodeError:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             continue
     return events
 

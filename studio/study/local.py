@@ -20,10 +20,10 @@ from typing import ClassVar
 import msgspec
 import psutil
 
-from morph_core import durable
+from morph_core import durable, inside
 from morph_core.history import History
 from morph_core.protocol import Progress
-from morph_core.run_folder import LAUNCH, RunFolder, RunFolderError, process_alive
+from morph_core.run_folder import LAUNCH, SMALL_BYTES, RunFolder, RunFolderError, process_alive
 from studio.inquest import Child, start_child
 from studio.study.launcher import Launcher, Place
 from studio.study.standing import stopped_by_user
@@ -139,7 +139,7 @@ class Local(Launcher):
         for run in runs:
             path = directory / run
             if path.is_dir():
-                (path / CANCELLED).touch()
+                inside.touch(path, CANCELLED)
                 launch = read_launch(path)
                 if launch and launch.trainer.is_here():
                     os.kill(launch.trainer.pid, signal.SIGTERM)
@@ -235,8 +235,8 @@ class Local(Launcher):
 def read_launch(path: Path) -> Launch | None:
     """Return what a queue has written down of a run; None where none has."""
     try:
-        return msgspec.json.decode((path / LAUNCH).read_bytes(), type=Launch)
-    except (OSError, msgspec.DecodeError):
+        return msgspec.json.decode(inside.read(path, LAUNCH, SMALL_BYTES), type=Launch)
+    except (OSError, ValueError, RecursionError):
         return None
 
 
@@ -247,8 +247,8 @@ def _write_launch(folder: RunFolder, launch: Launch) -> None:
 def launcher_of(path: Path) -> str:
     """Return the name of the launcher that has a run in its hands; empty for none."""
     try:
-        found = msgspec.json.decode((path / LAUNCH).read_bytes(), type=dict[str, object])
-    except (OSError, msgspec.DecodeError):
+        found = msgspec.json.decode(inside.read(path, LAUNCH, SMALL_BYTES), type=dict[str, object])
+    except (OSError, ValueError, RecursionError):
         return ""
     return str(found.get("launcher", ""))
 
@@ -274,7 +274,10 @@ class _Lock:
 def _claim(path: Path) -> _Lock | None:
     """Take the lock of this file; None if it is taken."""
     path.parent.mkdir(exist_ok=True)
-    number = os.open(path, os.O_RDWR | os.O_CREAT, 0o664)
+    try:
+        number = inside.open_plain(path.parent, path.name, os.O_RDWR | os.O_CREAT)
+    except inside.NotPlainError:
+        return None
     try:
         fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

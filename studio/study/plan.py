@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from morph_core import durable
+from morph_core import durable, inside
 from morph_core.catalogue import METHODS, TASKS, make_method, make_task
 from morph_core.presets import PRESETS
 from morph_core.protocol import RunRecord
@@ -17,6 +17,8 @@ from studio import limits
 from studio.new_run import Machine, StartRun, machine, record_of
 
 FORMAT = 1
+LARGEST_PLAN = 16 << 20
+"""Bytes of the largest plan that is read: one of 100,000 runs has less."""
 MOST_SEEDS = 1000
 MOST_RUNS = 10_000
 _SLUG = 60
@@ -226,7 +228,7 @@ def _slug(label: str) -> str:
 def read_study(directory: Path) -> Study:
     """Return the plan of a study's folder; raise StudyError that says why there is none that can be read."""
     try:
-        text = (directory / STUDY).read_bytes()
+        text = inside.read(directory, STUDY, LARGEST_PLAN)
         found = msgspec.json.decode(text, type=dict[str, object]).get("format")
         if isinstance(found, int) and found > FORMAT:
             raise StudyError(

@@ -12,9 +12,9 @@ from typing import ClassVar, TypeVar
 
 import msgspec
 
-from morph_core import durable
+from morph_core import durable, inside
 from morph_core.history import History
-from morph_core.run_folder import LAUNCH, RunFolder
+from morph_core.run_folder import LAUNCH, SMALL_BYTES, RunFolder
 from studio.study.launcher import Launcher, Place
 from studio.study.local import CANCELLED, launcher_of
 from studio.study.slurm_options import SlurmOptions
@@ -94,7 +94,7 @@ class Slurm(Launcher):
             launch, place = slurm_launch(folder), places.get(folder.id)
             if launch and place and not place.given_up:
                 tasks.append(launch.job)
-                (folder.path / CANCELLED).touch()
+                inside.touch(folder.path, CANCELLED)
         for part in _parts(tasks):
             call("scancel", "--quiet", *part)  # quiet: no error for what has ended meanwhile
 
@@ -155,8 +155,8 @@ class Slurm(Launcher):
 def slurm_launch(folder: RunFolder) -> Launch | None:
     """Return how a run was launched if that was by Slurm; None too for a file that names no task of Slurm."""
     try:
-        launch = msgspec.json.decode((folder.path / LAUNCH).read_bytes(), type=Launch)
-    except (OSError, msgspec.DecodeError):
+        launch = msgspec.json.decode(inside.read(folder.path, LAUNCH, SMALL_BYTES), type=Launch)
+    except (OSError, ValueError, RecursionError):
         return None
     return launch if launch.launcher == Slurm.name and TASK.fullmatch(launch.job) else None
 

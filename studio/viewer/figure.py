@@ -144,6 +144,15 @@ class Figure:
             wxyz=self.wxyz[:, index],
         )
 
+    def moved(self, by: np.ndarray) -> "Figure":
+        """Return the figure `by` (3,) m away."""
+        return dataclasses.replace(self, positions=self.positions + by.astype(np.float32))
+
+    def tinted(self, colour: tuple[int, int, int], share: float) -> "Figure":
+        """Return the figure with a share of its colours in [0, 1] taken by another one."""
+        mixed = np.round((1 - share) * self.colours + share * np.array(colour)).astype(np.uint8)
+        return dataclasses.replace(self, colours=mixed)
+
     def thinned(self, factor: float) -> "Figure":
         """Return the figure with rods and balls `factor` as thick, so that it hides inside the original."""
         rods = np.array([kind in ("capsule", "cylinder", "sphere") for kind in self.kinds], bool)

@@ -6,8 +6,9 @@ import numpy as np
 
 from studio.viewer import wording
 from studio.viewer.figure import Figure
-from studio.viewer.scene import CONTACT_COLOUR, GHOST_COLOUR
-from studio.viewer.take import GOAL_LIT, LIT_BY, WALL_LIT, Take
+from studio.viewer.scene import CONTACT_COLOUR, FORCE_COLOUR, GHOST_COLOURS
+from studio.viewer.take import GOAL_LIT, LIT_BY, SECOND_COLOUR, WALL_LIT, Take
+from studio.viewer.tint import HIGH, LOW, MIDDLE, Tint
 
 Colour = tuple[int, int, int]
 
@@ -18,7 +19,7 @@ def legend_of(take: Take) -> str:
         f'<span style="white-space:nowrap;margin-right:0.9em">{wording.swatch(colour)} {wording.text(words)}</span>'
         for colour, words in _entries(take)
     ]
-    return wording.paragraph(" ".join(entries))
+    return wording.paragraph(" ".join(entries)) + (_scale(take.shot.tint) if take.shot.tint else "")
 
 
 def _entries(take: Take) -> Iterator[tuple[Colour, str]]:
@@ -37,10 +38,28 @@ def _entries(take: Take) -> Iterator[tuple[Colour, str]]:
         yield CONTACT_COLOUR, "contact"
     if take.touched.any():
         yield WALL_LIT, "wall hit"
-    pale = [(take.shot.ghost_name, take.ghost), ("earlier", take.trail), ("explored", take.population)]
-    names = [name for name, figure in pale if figure]
-    if names:
-        yield GHOST_COLOUR, f"{', '.join(names)} design{'s' * (names != [take.shot.ghost_name])}"
+    if take.forces:
+        yield FORCE_COLOUR, f"contact force, 1 cm is {take.forces.newtons_per_cm:g} N"
+    if take.second and take.shot.overlaid:
+        yield SECOND_COLOUR, "B, tinted"
+    if take.ghost:
+        yield GHOST_COLOURS["ghost"], f"{take.shot.ghost_name} design"
+    beside = take.shot.beside
+    if beside.trail:
+        yield GHOST_COLOURS["trail"], "earlier designs"
+    if beside.explored:
+        yield GHOST_COLOURS["explored"], "explored designs"
+    if beside.generation:
+        yield GHOST_COLOURS["generation"], "CMA-ES's last generation"
+
+
+def _scale(tint: Tint) -> str:
+    """Return what the colours of the robot's parts mean as HTML: a bar between the words for its ends."""
+    stops = ", ".join("rgb({}, {}, {})".format(*colour) for colour in (LOW, MIDDLE, HIGH))
+    bar = f'<span style="flex:1;height:0.7em;border-radius:2px;background:linear-gradient(90deg, {stops})"></span>'
+    ends = f"<span>{wording.text(tint.low)}</span>{bar}<span>{wording.text(tint.high)}</span>"
+    row = f'<div style="display:flex;align-items:center;gap:0.5em;white-space:nowrap">{ends}</div>' if tint.low else ""
+    return wording.paragraph(f"colours of the parts: {wording.text(tint.meaning)}{row}")
 
 
 def _colour_of(figure: Figure, name: str) -> Colour | None:

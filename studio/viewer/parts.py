@@ -58,6 +58,8 @@ class Entry:
     """Place of the parameter in phi."""
     part: str
     """Part of the robot, such as "finger 1"; the parameter's name where no part goes with it."""
+    geoms: str
+    """Word with which the names of the part's geoms begin."""
     colour: str
     """Colour of the part in the scene, as in CSS."""
     scale: float
@@ -105,8 +107,9 @@ def quantities_of(history: History) -> list[Quantity]:
     found: dict[tuple[str, Unit], list[Entry]] = {}
     for i, p in enumerate(history.design_space.parameters):
         part, colour = known.get(p.name, (p.part, COLOURS[i % len(COLOURS)]))
-        words = (part or p.name).replace("_", " ")
-        found.setdefault((_quantity(p, part), unit_of(p)), []).append(Entry(i, words, colour, p.scale))
+        name = part or p.name
+        entry = Entry(i, name.replace("_", " "), name, colour, p.scale)
+        found.setdefault((_quantity(p, part), unit_of(p)), []).append(entry)
     return [Quantity(name, unit, tuple(entries)) for (name, unit), entries in found.items()]
 
 
@@ -134,13 +137,13 @@ def _parts(task: str, options: str, phi: tuple[float, ...]) -> Mapping[str, tupl
     names = [model.geom(i).name or model.body(int(model.geom_bodyid[i])).name for i in range(model.ngeom)]
     parts: dict[str, tuple[str, str]] = {}
     for p in made.design_space.parameters:
-        geoms = [i for i, name in enumerate(names) if p.part and _belongs(name, p.part)]
+        geoms = [i for i, name in enumerate(names) if p.part and belongs(name, p.part)]
         if geoms:
             r, g, b = 255 * model.geom_rgba[geoms[0], :3]
             parts[p.name] = (p.part, f"rgb({r:.0f}, {g:.0f}, {b:.0f})")
     return parts
 
 
-def _belongs(name: str, part: str) -> bool:
+def belongs(name: str, part: str) -> bool:
     """Tell whether a geom is of a part: "finger_1_distal" is of "finger_1", "finger_12_distal" is not."""
     return name == part or name.startswith(f"{part}_")

@@ -22,7 +22,7 @@ from studio.viewer.rules import rules_of
 NOT_LIVE: tuple[Status, ...] = ("queued", "stopped", "finished", "failed", "lost", "unreadable")
 RESUMABLE: tuple[Status, ...] = ("stopped", "failed", "lost")
 _LOG_LINES = 8
-_MORE: dict[str, AnyCommand] = {"Step": StepIteration(), "Checkpoint": Checkpoint(), "Stop": Stop()}
+MORE: dict[str, AnyCommand] = {"Step": StepIteration(), "Checkpoint": Checkpoint(), "Stop": Stop()}
 
 Send = Callable[[Callable[[], Sequence[AnyCommand]], viser.ClientHandle | None], None]
 """Function send(make_commands, client), which calls make_commands(); a ValueError from it is shown like any refusal."""
@@ -46,12 +46,12 @@ class RunPanel:
         self.state = gui.add_html("")
         self.failure = gui.add_html("", visible=False)
         self.bar = gui.add_progress_bar(0.0, color="green")
-        self.numbers = gui.add_html("")
         self.pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="Hold after this iteration (P)")
         self.resume = gui.add_button("Resume", icon=viser.Icon.PLAYER_PLAY, color="green", hint="Go on (P)")
         self.more = gui.add_button_group(
-            "run", tuple(_MORE), hint="Step: one iteration, then hold. Stop: save and end; it can be resumed."
+            "run", tuple(MORE), hint="Step: one iteration, then hold. Stop: save and end; it can be resumed."
         )
+        self.numbers = gui.add_html("")
         self.branch = gui.add_button(
             "Branch from here", icon=viser.Icon.GIT_BRANCH, color="gray",
             hint="A new run that goes on from the iteration that the timeline shows, with other bounds or settings (B)",
@@ -87,8 +87,8 @@ class RunPanel:
 
     def ask(self, word: str, client: viser.ClientHandle | None) -> None:
         """Send the command of the button that bears this word."""
-        if word in _MORE:
-            self._send(lambda: [_MORE[word]], client)
+        if word in MORE:
+            self._send(lambda: [MORE[word]], client)
 
     def show_visible(self, visible: bool) -> None:
         """Show or hide everything in the panel."""

@@ -11,8 +11,17 @@ import viser
 from studio.viewer import shapes
 from studio.viewer.figure import Figure, Mesh
 
+Host = viser.ViserServer | viser.ClientHandle
+"""Whose scene and panels these are: those of one browser, or of all."""
 CONTACT_COLOUR = (225, 30, 30)
-GHOST_COLOUR = (128, 142, 170)
+FORCE_COLOUR = (220, 0, 170)
+GHOST_COLOURS = {
+    "ghost": (128, 142, 170),
+    "trail": (86, 180, 233),
+    "explored": (230, 159, 0),
+    "generation": (0, 158, 115),
+}
+"""Colours of the designs that stand beside the one in front, by their layer: those of Okabe and Ito."""
 FIELD_OF_VIEW = math.radians(40)
 """Vertical field of view of the camera, in radians."""
 USUAL_ASPECT = 0.72
@@ -45,8 +54,8 @@ class _Batch:
 class Layer:
     """One figure in the scene. Another figure replaces it under the same node names."""
 
-    def __init__(self, server: viser.ViserServer, name: str, *, opacity: float | None = None) -> None:
-        self._server = server
+    def __init__(self, host: Host, name: str, *, opacity: float | None = None) -> None:
+        self._host = host
         self._name = name
         self._opacity = opacity
         self._batches: dict[str, _Batch] = {}
@@ -63,7 +72,7 @@ class Layer:
         groups = _groups(figure) if figure else {}
         arrays = {key: _instances(figure, key, parts, instant) for key, parts in groups.items()} if figure else {}
         painted = colours if colours is not None else figure.colours if figure else np.zeros((0, 3), np.uint8)
-        with self._server.atomic():
+        with self._host.atomic():
             for key, batch in self._batches.items():
                 batch.handle.visible = key in groups
                 batch.parts = groups.get(key, [])
@@ -77,7 +86,7 @@ class Layer:
         if figure is None or instant == self._instant:
             return
         moves = [(b.handle, figure.positions[instant, b.parts], figure.wxyz[instant, b.parts]) for b in self._shown]
-        with self._server.atomic():
+        with self._host.atomic():
             for handle, positions, wxyz in moves:
                 handle.batched_positions = positions
                 handle.batched_wxyzs = wxyz
@@ -105,7 +114,7 @@ class Layer:
         batch = self._batches.get(key)
         if batch is None:
             vertices, faces = (mesh.vertices, mesh.faces) if mesh else _unit(key)
-            handle = self._server.scene.add_batched_meshes_simple(
+            handle = self._host.scene.add_batched_meshes_simple(
                 f"/{self._name}/{key}", vertices, faces, wxyz, positions, batched_scales=scales,
                 batched_colors=_linear(colours),
                 opacity=self._opacity, lod="off", flat_shading=mesh is not None, cast_shadow=False,
@@ -122,32 +131,96 @@ class Layer:
         batch.handle.batched_colors = _linear(colours)
 
 
-def light_up(server: viser.ViserServer) -> None:
+class Arrows:
+    """Arrows of one colour in the scene, which come and go from frame to frame."""
+
+    def __init__(self, host: Host, name: str, colour: tuple[int, int, int]) -> None:
+        self._host = host
+        self._name = f"/{name}/arrows"
+        self._colour = colour
+        self._handle: viser.ArrowsHandle | None = None
+        self._shown = np.zeros((0, 2, 3), np.float32)
+
+    def show(self, arrows: np.ndarray, radius: float) -> None:
+        """Draw arrows (n, 2, 3) from start to end, with shafts of this radius in m."""
+        arrows = arrows.astype(np.float32)
+        if np.array_equal(arrows, self._shown):
+            return
+        self._shown = arrows
+        if self._handle is None:
+            self._handle = self._host.scene.add_arrows(
+                self._name, arrows, self._colour,
+                shaft_radius=radius, head_radius=2.5 * radius, head_length=5 * radius,
+            )  # fmt: skip
+        self._handle.visible = bool(len(arrows))
+        if len(arrows):
+            self._handle.points = arrows
+            self._handle.shaft_radius = radius
+            self._handle.head_radius, self._handle.head_length = 2.5 * radius, 5 * radius
+
+
+class Letters:
+    """Letters that stand above things in the scene, to tell them apart."""
+
+    def __init__(self, host: Host, name: str, letters: tuple[str, ...]) -> None:
+        self._host = host
+        self._name = name
+        self._letters = letters
+        self._handles: list[viser.LabelHandle] = []
+
+    def show(self, places: np.ndarray | None) -> None:
+        """Put each letter at its place (n, 3); None takes them away."""
+        if places is not None and not self._handles:
+            self._handles = [
+                self._host.scene.add_label(
+                    f"/{self._name}/{letter}", letter, font_screen_scale=1.8, anchor="bottom-center"
+                )
+                for letter in self._letters
+            ]
+        for i, handle in enumerate(self._handles):
+            handle.visible = places is not None
+            if places is not None:
+                handle.position = places[i]
+
+
+def light_up(host: Host) -> None:
     """Light the scene evenly: colours must look the same on the light and on the dark theme."""
-    server.scene.configure_default_lights(enabled=False)
-    server.scene.configure_environment_map(None)
-    server.scene.add_light_ambient("/light/ambient", intensity=1.7)
-    server.scene.add_light_directional("/light/above", intensity=1.9, position=(-3.0, -4.0, 8.0))
+    host.scene.configure_default_lights(enabled=False)
+    host.scene.configure_environment_map(None)
+    host.scene.add_light_ambient("/light/ambient", intensity=1.7)
+    host.scene.add_light_directional("/light/above", intensity=1.9, position=(-3.0, -4.0, 8.0))
+
+
+def clients_of(host: Host) -> list[viser.ClientHandle]:
+    """Return the browsers that see what is drawn for the host."""
+    return list(host.get_clients().values()) if isinstance(host, viser.ViserServer) else [host]
+
+
+def initial_camera_of(host: Host) -> viser.InitialCameraConfig:
+    """Return where the camera begins and is reset to; viser offers that for all browsers at once, and means it so."""
+    if isinstance(host, viser.ViserServer):
+        return host.initial_camera
+    return viser.InitialCameraConfig(host._websock_connection.queue_message)
 
 
 class Ruler:
     """A grid with its lengths written along two sides, and a pole with heights, so that metres can be read off."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+    def __init__(self, host: Host) -> None:
+        self._host = host
         self._labels: list[viser.LabelHandle] = []
 
     def show(self, floor: tuple[np.ndarray, np.ndarray], box: tuple[np.ndarray, np.ndarray]) -> None:
         """Draw the grid on `floor`, and a pole beside `box` unless that is flat; each is a pair of corners (3,)."""
         low, high = floor
-        cell = _round_length(float(np.max(high - low)) / 10)
+        cell = round_up(float(np.max(high - low)) / 10)
         start, end = np.floor(low[:2] / cell + 1e-6) * cell, np.ceil(high[:2] / cell - 1e-6) * cell
         z = float(low[2]) + 0.004 * cell
         xs, ys = _ticks(start[0], end[0], cell), _ticks(start[1], end[1], cell)
         heights = [] if is_flat(*box) else _ticks(cell, float(box[1][2] - z), cell)
         lines = [((x, ys[0], z), (x, ys[-1], z)) for x in xs] + [((xs[0], y, z), (xs[-1], y, z)) for y in ys]
         lines += [((xs[0], ys[-1], z), (xs[0], ys[-1], z + h)) for h in heights[-1:]]
-        self._server.scene.add_line_segments(
+        self._host.scene.add_line_segments(
             "/ruler/lines", np.array(lines, np.float32), _RULER_COLOUR, thickness=1.0, thickness_units="screen"
         )
         seldom = 2 * cell if len(xs) > _MOST_LABELS else cell
@@ -164,7 +237,7 @@ class Ruler:
         for i, (position, text) in enumerate(ticks):
             if i == len(self._labels):
                 self._labels.append(
-                    self._server.scene.add_label(f"/ruler/{i}", text, font_screen_scale=0.75, depth_test=True)
+                    self._host.scene.add_label(f"/ruler/{i}", text, font_screen_scale=0.75, depth_test=True)
                 )
             label = self._labels[i]
             label.text, label.position, label.visible, label.anchor = text, np.array(position), True, anchor
@@ -260,7 +333,7 @@ def _same(one: Mesh, other: Mesh) -> bool:
     )
 
 
-def _round_length(length: float) -> float:
-    """Return the smallest of 1, 2 and 5 times a power of ten that is not shorter than `length`."""
-    power = 10.0 ** math.floor(math.log10(max(length, 1e-6)))
-    return next(power * step for step in (1, 2, 5, 10) if power * step >= length * 0.999)
+def round_up(number: float) -> float:
+    """Return the smallest of 1, 2 and 5 times a power of ten that is not less than `number`."""
+    power = 10.0 ** math.floor(math.log10(max(number, 1e-6)))
+    return next(power * step for step in (1, 2, 5, 10) if power * step >= number * 0.999)

@@ -11,6 +11,7 @@ from morph_core.method import Method
 from morph_core.task import Task
 from studio.fields import Field, chosen_fields, told
 from studio.new_run import resettled
+from studio.viewer import explain
 
 _PARTS = ("exploration", "search")
 """Fields of a method that are chosen by name in sight; other choices of a plug-in's method are folded away."""
@@ -30,8 +31,11 @@ class SettingsForm:
         self._folders: list[viser.GuiFolderHandle] = []
         self._filling = False
         self.alpha = gui.add_number("α", 1.0, min=0.0, step=0.1)
+        self._explained = {"alpha": gui.add_html(explain.alpha())}
         self.projection = gui.add_dropdown("projection", [""])
+        self._explained["projection"] = gui.add_html(explain.projection())
         self.exploration = gui.add_dropdown("exploration", [""])
+        self._explained["exploration"] = gui.add_html(explain.exploration())
         self.search = gui.add_dropdown("search", [""])
         self._slot = gui.add_folder(None)
         for path in _PARTS:
@@ -54,6 +58,8 @@ class SettingsForm:
         self._filling = True
         for path, handle in self._in_sight.items():
             handle.visible = path in fields
+            if path in self._explained:
+                self._explained[path].visible = path in fields
             if path in fields:
                 field = fields[path]
                 if field.choices:

@@ -9,6 +9,7 @@ from morph_core.config import NotNegative, Projection, check_value
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, SetAlpha, SetProjection, Status
 from studio.fields import docs_of
+from studio.viewer import explain
 from studio.viewer.run import NOT_LIVE, Send
 
 
@@ -21,7 +22,9 @@ class SteerPanel:
         self.form = gui.add_form("Algorithm", visible=False)
         with self.form:
             self.alpha = gui.add_number("α", 1.0, min=0.0, step=0.1, hint=docs["alpha"])
+            gui.add_html(explain.alpha())
             self.projection = gui.add_dropdown("projection", list(typing.get_args(Projection)), hint=docs["projection"])
+            gui.add_html(explain.projection())
             self.apply = gui.add_button("Apply", icon=viser.Icon.CHECK, color="green")
         self.apply.on_click(lambda _: self.form.submit())
         self.form.on_submit(lambda event: send(self.commands, event.client))

@@ -1,21 +1,26 @@
 """What is to be seen in the scene, and everything that drawing it needs, worked out once."""
 
 import contextlib
+import dataclasses
 import functools
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from morph_core.catalogue import make_task
+from morph_core.forces import contact_forces
+from morph_core.protocol import Which
 from morph_core.run_folder import RunFolder, episode_arrays, read_episode
 from morph_core.task import Task
 from studio.robots.chooser import robot_of
 from studio.robots.parts import dress, stl_files
 from studio.viewer.figure import Figure, smooth
+from studio.viewer.ghosts import Beside, filled, standing, start_posture
+from studio.viewer.scene import is_flat, round_up
+from studio.viewer.tint import Tint, painted
 
 Corners = tuple[np.ndarray, np.ndarray]
 """Lowest (3,) and highest corner (3,) of a box, in m."""
@@ -31,7 +36,15 @@ _LINGER = 0.3
 """Seconds for which a contact stays lit."""
 _TABLE_MARGIN = 0.15
 """Width of the table in sight beside what stands on it, as a share of what stands on it."""
-_GHOST_THICKNESS, _TRAIL_THICKNESS, _POPULATION_THICKNESS = 0.85, 0.42, 0.2
+_LONG_ARROW = 0.25
+"""Length of the arrow of a large contact force, at most, as a share of the scene's longest side: of ten contacts of an
+episode one has a longer one, as an impact would leave all others too short to be seen."""
+SECOND_COLOUR = (150, 60, 220)
+_TINT = 0.6
+"""Share of its colours that the second of two overlaid designs loses to `SECOND_COLOUR`."""
+_GAP = 0.15
+"""Gap between two designs side by side, as a share of the scene's width there."""
+_GHOST_THICKNESS = 0.85
 
 
 @dataclass(frozen=True)
@@ -43,19 +56,70 @@ class Shot:
     phi: tuple[float, ...]
     """The design in front."""
     episode: tuple[RunFolder, int] | None = None
-    """The recorded episode that is played; without one the robot stands in the start posture."""
+    """The run and iteration whose recorded episode is played; without one the robot stands in the start posture."""
+    which: Which | None = None
+    """The recorded episode that is played: by its name among those of its evaluation, or None for the only one."""
     played: bytes | None = None
     """An episode that no run has recorded, as the bytes of an npz file; it goes before a recorded one."""
     ghost: tuple[float, ...] | None = None
     """The design that stands pale behind the one in front."""
     ghost_name: str = "initial"
     """Word that says which design that is."""
-    trail: tuple[tuple[float, ...], ...] = ()
-    """Earlier designs, which are shown paler still."""
     printed: bool = False
     """Whether the design in front shows its printed parts, or the collision shapes inside which they are."""
-    population: bool = False
-    """Whether to show the designs that were explored in the episode's iteration, as thin rods."""
+    tint: Tint | None = None
+    """Colours of the robot's parts; without them it has its own."""
+    beside: Beside = Beside()
+    """The designs that stand beside it; a take holds none of them, for they take long to build."""
+    forces: bool = False
+    """Whether to show the contact forces as arrows."""
+    second: "Shot | None" = None
+    """Another shot that is played at the same time: two designs to be compared."""
+    overlaid: bool = False
+    """Whether the second design stands where the first one does, or beside it."""
+
+    @property
+    def options(self) -> str:
+        """Return the options of the task as JSON."""
+        return json.dumps(dict(self.task_options), sort_keys=True)
+
+
+@dataclass(frozen=True)
+class ForceArrows:
+    """The contact forces of an episode as arrows, at each of its T + 1 postures; NaN for none."""
+
+    starts: np.ndarray
+    """Starts of the arrows, (T + 1, C, 3) m."""
+    ends: np.ndarray
+    """Ends of the arrows, (T + 1, C, 3) m."""
+    newtons_per_cm: float
+    factor: int
+    """Frames from one posture to the next."""
+
+    def at(self, frame: int) -> np.ndarray:
+        """Return start and end (n, 2, 3) of the arrows of a frame."""
+        t = min(frame // self.factor, len(self.starts) - 1)
+        arrows = np.stack([self.starts[t], self.ends[t]], 1)
+        return arrows[np.isfinite(arrows).all((1, 2))]
+
+
+@dataclass(frozen=True)
+class Second:
+    """The second of two designs, as it stands in the scene."""
+
+    robot: Figure
+    objects: Figure
+    scenery: Figure | None
+    """Obstacles, table and goal; None where they are those of the first design."""
+    away: np.ndarray
+    """How far from the first design it stands, (3,) m."""
+    letters: np.ndarray
+    """Where the letters A and B stand above both designs, (2, 3) m."""
+
+    @property
+    def frames(self) -> int:
+        """Number of frames of its episode."""
+        return self.robot.instants
 
 
 @dataclass(frozen=True)
@@ -69,8 +133,6 @@ class Take:
     scenery: Figure
     """Obstacles, table and goal."""
     ghost: Figure | None
-    trail: Figure | None
-    population: Figure | None
     goal_touched: np.ndarray
     """Frames in which the goal is touched, (F,) bool."""
     milestones: dict[str, np.ndarray]
@@ -83,16 +145,29 @@ class Take:
     """Box that the camera should frame."""
     floor: Corners
     """The level rectangle on which lengths are written."""
+    reward_terms: dict[str, np.ndarray]
+    """Terms of the reward at each of T control steps, by their names: (T,) each."""
+    control_dt: float
+    """Seconds of a control step."""
+    has_forces: bool
+    """Whether contact forces can be worked out for the episode."""
+    forces: ForceArrows | None
+    second: Second | None
 
     @property
     def frames(self) -> int:
-        """Number of frames, F."""
+        """Number of frames of the design in front, F."""
         return self.robot.instants
 
     @property
+    def last_frame(self) -> int:
+        """Frame with which the longer of both episodes ends."""
+        return max(self.frames, self.second.frames if self.second else 0) - 1
+
+    @property
     def duration(self) -> float:
-        """Length of the episode in seconds of the task's time; 0 without an episode."""
-        return (self.frames - 1) / FRAMES_PER_SECOND
+        """Length of the longer episode in seconds of the task's time; 0 without an episode."""
+        return self.last_frame / FRAMES_PER_SECOND
 
     def scenery_colours(self, frame: int) -> np.ndarray:
         """Return the scenery's colours (n, 3) uint8 with what is touched lit up."""
@@ -120,7 +195,6 @@ class _Episode:
     success: np.ndarray  # (T,) bool
     milestones: dict[str, np.ndarray]  # each (T,) bool
     contact: np.ndarray  # (T, C, 3) m
-    population: np.ndarray  # (M, d)
 
 
 def make_take(shot: Shot) -> Take:
@@ -128,65 +202,130 @@ def make_take(shot: Shot) -> Take:
     task = make_task(shot.task, dict(shot.task_options))
     recorded = _recorded(shot)
     phi = np.asarray(recorded.get("phi", shot.phi), float)
-    model, alone = _models(task, phi, shot.printed)
+    model, of_robot = _models(task, phi, shot.printed)
     if recorded:
-        episode = _episode(recorded, model.nq, len(phi))
+        episode = _episode(recorded, model.nq)
     else:
-        nothing = np.zeros((0, len(phi)))
-        episode = _Episode(_start(task, phi), np.zeros(0, bool), {}, np.zeros((0, 1, 3)), nothing)
+        episode = _Episode(start_posture(task, phi), np.zeros(0, bool), {}, np.zeros((0, 1, 3)))
     factor = max(1, round(task.control_dt * FRAMES_PER_SECOND))
-    frames = smooth(model, _fill(model, episode.qpos), factor)
-    robot, objects, scenery = _split(Figure.from_model(model, frames), alone)
+    frames = smooth(model, filled(model, episode.qpos), factor)
+    robot, objects, scenery = _split(Figure.from_model(model, frames), of_robot)
+    if shot.tint:
+        robot = dataclasses.replace(robot, colours=painted(robot, shot.tint))
     contact = _moving_contacts(episode.contact, factor, len(frames))
-    options = json.dumps(dict(shot.task_options), sort_keys=True)
-    box, floor = _frame(shot.task, options)
-    population = episode.population if shot.population else ()
+    box, floor = _frame(shot.task, shot.options)
+    second = _second(shot, box) if shot.second else None
+    if second:
+        box, floor = _both(box, second.away), _both(floor, second.away)
+    arrows = _arrows(task, phi, recorded, _longest_side(box), factor) if shot.forces and "qvel" in recorded else None
     return Take(
         shot=shot,
         robot=robot,
         objects=objects,
         scenery=scenery,
-        ghost=_ghost(shot.task, options, shot.ghost) if shot.ghost else None,
-        trail=_standing(task, shot.trail, _TRAIL_THICKNESS),
-        population=_standing(task, population, _POPULATION_THICKNESS),
+        ghost=standing(shot.task, shot.options, shot.ghost).thinned(_GHOST_THICKNESS) if shot.ghost else None,
         goal_touched=_from_their_end(episode.success, factor, len(frames)),
         milestones={name: _from_their_end(m, factor, len(frames)) for name, m in episode.milestones.items()},
         contact=contact,
         touched=_touched(scenery, contact),
         box=box,
         floor=floor,
+        reward_terms=_reward_terms(recorded),
+        control_dt=task.control_dt,
+        has_forces="qvel" in recorded,
+        forces=arrows,
+        second=second,
     )
+
+
+def _second(shot: Shot, box: Corners) -> Second:
+    """Return the second design of a shot, where the scene of the first one fills the box."""
+    assert shot.second is not None
+    take = make_take(shot.second)
+    if shot.overlaid:
+        robot, objects = (figure.tinted(SECOND_COLOUR, _TINT) for figure in (take.robot, take.objects))
+        return Second(robot, objects, None, np.zeros(3), np.zeros((2, 3)))
+    away, (low, high) = _aside(box), box
+    letter = np.array([(low[0] + high[0]) / 2, high[1] if is_flat(*box) else (low[1] + high[1]) / 2, high[2]])
+    letters = np.stack([letter, letter + away])
+    return Second(take.robot.moved(away), take.objects.moved(away), take.scenery.moved(away), away, letters)
+
+
+def _aside(box: Corners) -> np.ndarray:
+    """Return how far (3,) m beside a scene its like stands: along the shorter side of a flat one, which is seen from
+    above, and else along x."""
+    size = box[1] - box[0]
+    axis = 1 if is_flat(*box) and size[1] < size[0] else 0
+    away = np.zeros(3)
+    away[axis] = (1 + _GAP) * size[axis] * (-1 if axis else 1)
+    return away
+
+
+def _both(box: Corners, away: np.ndarray) -> Corners:
+    """Return the box round two boxes, one of them `away` (3,) from the other."""
+    return np.minimum(box[0], box[0] + away), np.maximum(box[1], box[1] + away)
+
+
+def _longest_side(box: Corners) -> float:
+    return float(np.max(box[1] - box[0]))
+
+
+def _arrows(
+    task: Task, phi: np.ndarray, recorded: dict[str, np.ndarray], longest_side: float, factor: int
+) -> ForceArrows:
+    """Return the contact forces of an episode as arrows, as long as suits a scene with this longest side in m."""
+    found = contact_forces(task, phi, recorded)
+    sizes = np.linalg.norm(found.forces, axis=2)
+    large = float(np.nanquantile(sizes, 0.9)) if np.isfinite(sizes).any() else 1.0
+    newtons_per_cm = round_up(large / (100 * _LONG_ARROW * longest_side))
+    return ForceArrows(found.points, found.points + found.forces / newtons_per_cm / 100, newtons_per_cm, factor)
+
+
+def _reward_terms(recorded: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the finite terms (T,) of the reward that an episode holds."""
+    prefix, steps = "reward_terms/", len(np.atleast_2d(recorded["qpos"])) - 1 if "qpos" in recorded else 0
+    found = {
+        name.removeprefix(prefix): np.asarray(term, float).reshape(-1)
+        for name, term in recorded.items()
+        if name.startswith(prefix)
+    }
+    return {name: term for name, term in found.items() if len(term) == steps and np.isfinite(term).all()}
 
 
 def _recorded(shot: Shot) -> dict[str, np.ndarray]:
     """Return the arrays of the episode that is to be played, or none."""
     if shot.played is not None:
         return episode_arrays(shot.played)
-    return read_episode(*shot.episode) if shot.episode else {}
+    return read_episode(*shot.episode, shot.which) if shot.episode else {}
 
 
-def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, mujoco.MjModel]:
-    """Return the scene, and the robot alone; a robot that can't be assembled shows its collision shapes."""
+def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel, set[str]]:
+    """Return the scene, and the names of the robot's bodies and geoms in it; a robot that can't be assembled shows its
+    collision shapes."""
     specs, robot = [task.scene(phi), task.spec(phi)], robot_of(task)
     if printed and robot.printed:
         with contextlib.suppress(ValueError):
             parts = robot.parts(phi)
             files = stl_files(parts)
             specs = [dress(spec, parts, files) for spec in specs]
-    scene, alone = (spec.compile() for spec in specs)
-    return scene, alone
+    scene, alone = specs
+    return scene.compile(), _names(alone)
 
 
-def _split(whole: Figure, alone: mujoco.MjModel) -> tuple[Figure, Figure, Figure]:
-    """Return the robot, whose model is `alone`; what else moves; and what never moves."""
-    of_robot = {alone.body(i).name for i in range(1, alone.nbody)} | {alone.geom(i).name for i in range(alone.ngeom)}
+def _names(robot: mujoco.MjSpec) -> set[str]:
+    """Return the names of a robot's bodies and geoms; to compile it for them would take as long as the scene does."""
+    return {body.name for body in robot.bodies} - {"world"} | {geom.name for geom in robot.geoms} - {""}
+
+
+def _split(whole: Figure, of_robot: set[str]) -> tuple[Figure, Figure, Figure]:
+    """Return the robot, whose bodies and geoms have these names; what else moves; and what never moves."""
     fixed = [i for i, name in enumerate(whole.names) if name.startswith(_FIXED)]
     robot = [i for i, name in enumerate(whole.names) if name in of_robot and i not in fixed]
     objects = [i for i in range(len(whole)) if i not in fixed and i not in robot]
     return whole.take(robot), whole.take(objects), whole.take(fixed)
 
 
-def _episode(recorded: dict[str, np.ndarray], nq: int, parameters: int) -> _Episode:
+def _episode(recorded: dict[str, np.ndarray], nq: int) -> _Episode:
     """Return a recorded episode, whatever else its file holds; ValueError if its arrays don't fit."""
     qpos = np.atleast_2d(np.asarray(recorded.get("qpos", np.zeros((0, nq))), float))
     steps = len(qpos) - 1
@@ -203,36 +342,7 @@ def _episode(recorded: dict[str, np.ndarray], nq: int, parameters: int) -> _Epis
     }
     if any(len(array) != steps for array in (success, contact, *milestones.values())):
         raise ValueError("the recorded episode's success, milestones and contact don't fit its postures")
-    population = np.asarray(recorded.get("population", np.zeros((0, parameters))), float).reshape(-1, parameters)
-    return _Episode(qpos, success, milestones, contact, population[np.isfinite(population).all(1)])
-
-
-def _start(task: Task, phi: np.ndarray) -> np.ndarray:
-    """Return qpos (1, nq) of a start posture."""
-    return task.qpos(task.reset(task.hw_phy(phi), 1, np.random.default_rng(0)))
-
-
-def _standing(task: Task, designs: Sequence[Sequence[float]] | np.ndarray, thickness: float = 1.0) -> Figure | None:
-    """Return the robot alone with each of the designs, in its start posture; None without any."""
-    figures = []
-    for phi in designs:
-        model = task.spec(np.array(phi)).compile()
-        figures.append(Figure.from_model(model, _fill(model, _start(task, np.array(phi)))))
-    return Figure.joined(figures).thinned(thickness) if figures else None
-
-
-@functools.lru_cache(maxsize=16)
-def _ghost(task: str, options: str, phi: tuple[float, ...]) -> Figure | None:
-    """Return the design that stands pale behind another one; it stays while that one is dragged."""
-    return _standing(make_task(task, json.loads(options)), [phi], _GHOST_THICKNESS)
-
-
-def _fill(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """Return qpos (T, nq) for a model with more (objects) or fewer joints (the robot alone) than were recorded."""
-    filled = np.tile(model.qpos0, (len(qpos), 1))
-    known = min(model.nq, qpos.shape[1])
-    filled[:, :known] = qpos[:, :known]
-    return filled
+    return _Episode(qpos, success, milestones, contact)
 
 
 def _from_their_end(reached: np.ndarray, factor: int, frames: int) -> np.ndarray:
@@ -275,8 +385,8 @@ def _frame(name: str, options: str) -> tuple[Corners, Corners]:
     task = make_task(name, json.loads(options))
     phi = task.design_space.initial
     model = task.scene(phi).compile()
-    whole = Figure.from_model(model, _fill(model, _start(task, phi)))
-    robot, objects, scenery = _split(whole, task.spec(phi).compile())
+    whole = Figure.from_model(model, filled(model, start_posture(task, phi)))
+    robot, objects, scenery = _split(whole, _names(task.spec(phi)))
     tables = [i for i, name in enumerate(scenery.names) if name.startswith("table")]
     table, around = scenery.take(tables), scenery.take([i for i in range(len(scenery)) if i not in tables])
     boxes = [figure.extent() for figure in (robot, objects, around) if len(figure)]

@@ -1,5 +1,7 @@
 """The traces: how return, success, gradients, divergence and phi went, iteration by iteration."""
 
+import functools
+import json
 import re
 from collections.abc import Sequence
 
@@ -54,7 +56,7 @@ class TracesPanel:
         for order, trace in traces.items():
             if order not in self._charts:
                 self._charts[order] = Chart(self._gui, self._tab, trace, order)
-            self._charts[order].update(history)
+            self._charts[order].update(history, iteration)
 
 
 def _frame(trace: Trace | None) -> object:
@@ -85,7 +87,8 @@ def _traces_of(history: History) -> dict[int, Trace]:
             colours=_colours(quantities),
         ),
         50: Trace(
-            "Proxy against Hw-Phy: mean squared distance", _unit_of_divergence(history),
+            "Proxy against Hw-Phy: mean squared distance",
+            _unit_of_divergence(history.record.task, json.dumps(history.record.task_options, sort_keys=True)),
             ("divergence of the proxy", "search cost"), _divergences, "not measured so far by this method",
             logarithmic=True, colours=("#8a6be0", "#c9a400"),
         ),
@@ -108,10 +111,14 @@ def _phi_trace(quantity: Quantity, single: bool) -> Trace:
     )
 
 
-def _unit_of_divergence(history: History) -> str:
-    """Return the unit of D in brackets; z without a single unit is measured in typical steps of each component."""
+@functools.lru_cache(maxsize=64)
+def _unit_of_divergence(task: str, options: str) -> str:
+    """Return the unit of D in brackets; z without a single unit is measured in typical steps of each component.
+
+    `options` of the task are JSON.
+    """
     try:
-        unit = make_task(history.record.task, history.record.task_options).z_unit
+        unit = make_task(task, json.loads(options)).z_unit
     except (ValueError, TypeError):  # a task of another version
         return ""
     return f"[{unit}²]" if unit else "[typical step²]"

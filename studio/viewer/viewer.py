@@ -16,39 +16,50 @@ from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design
 from studio.new_run import StartRun
 from studio.viewer import wording
+from studio.viewer.compare import ComparePanel
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
+from studio.viewer.gallery import Album, GalleryPanel
+from studio.viewer.keys import Deed, Do, add_deeds
 from studio.viewer.legend import legend_of
 from studio.viewer.log import LogPanel
+from studio.viewer.looks import LooksPanel
+from studio.viewer.news import News
+from studio.viewer.playback import PlaybackPanel
 from studio.viewer.player import Player
-from studio.viewer.run import NOT_LIVE, RunPanel
-from studio.viewer.scene import light_up
+from studio.viewer.run import MORE, NOT_LIVE, RunPanel
+from studio.viewer.scene import Host, clients_of, light_up
 from studio.viewer.start import StartPanel
 from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
 from studio.viewer.timeline import TimelinePanel
 from studio.viewer.traces import TracesPanel
+from studio.viewer.view import Remembered, View, put_back, ticks_of
 from studio.viewer.what_if import Answers, WhatIfPanel
 
-NEW_RUN = "+ new run"
 _START_PATIENCE = 15.0
 """Seconds after which a started run that never showed up is reported."""
+_BODY_FIRST = 0.2
+"""Longest time in seconds for which the panels wait until the body of another design stands in the scene."""
+
+_GONE = "Choose another run, or bring this one back on the page of all runs: then it is shown again."
 
 log = logging.getLogger(__name__)
 
 
 class Viewer:
-    """The panels and the scene on a viser server; `show` is called a few times a second with fresh histories.
+    """The panels and the scene of one browser, or of all that a viser server has; `show` is called a few times a second
+    with fresh histories.
 
     `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)`,
     `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
     one)` do what people ask for; they refuse by a ValueError, whose sentence is shown. `answers` say how good a policy
-    is on a changed design, and `family(run_id)` is the tree in which a run stands.
+    is on a changed design, `family(run_id)` is the tree in which a run stands, and `album` has pictures and stars.
     """
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        host: Host,
         *,
         on_command: Callable[[str, AnyCommand, str], object],
         on_start: Callable[[StartRun], str],
@@ -57,30 +68,33 @@ class Viewer:
         on_export: Callable[[str, str, Sequence[str] | None, list[float] | None], Bundle],
         answers: Answers,
         family: Callable[[str], Member | None],
+        album: Album,
     ) -> None:
-        self._server = server
+        self._host = host
         self._on_command = on_command
         self._on_start = on_start
         self._on_resume = on_resume
         self._on_branch = on_branch
         self._on_export = on_export
         self._family = family
+        self._album = album
         self._tree: tuple[object, Member | None] = (None, None)
+        self._turns = 0
+        self._known: set[str] = set()
         self._lock = threading.RLock()
         self._histories: Mapping[str, History] = {}
         self._statuses: Mapping[str, tuple[Status, str]] = {}
         self._suggested: str | None = None
+        self._sought: int | None = None
         self._selected: str | None = None
         self._awaited_since = 0.0
-        self._labels: dict[str, str] = {}
         self._pending: dict[str, list[tuple[AnyCommand, int]]] = {}
-        gui = server.gui
+        gui = host.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(47, 127, 209))
         gui.set_panel_label("Run and playback")
-        light_up(server)
+        light_up(host)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(350)
-        self.chooser = gui.add_dropdown("run", [NEW_RUN], hint="Every run in the runs folder, newest first")
         self.notice = gui.add_html("", visible=False)
         self.start = StartPanel(gui, on_start=self._start, on_preview=self._refresh)
         self.tabs = gui.add_tab_group()
@@ -97,6 +111,8 @@ class Viewer:
         with left.add_tab("Steer", viser.Icon.ADJUSTMENTS):
             self.steer = SteerPanel(gui, send=self._send)
             self.design = DesignPanel(gui, send=self._send)
+        gallery = left.add_tab("Gallery", viser.Icon.PHOTO)
+        self.gallery = GalleryPanel(gui, gallery, album, on_turn=self._turn_to)
         with left.add_tab("What if", viser.Icon.HAND_MOVE):
             self.what_if = WhatIfPanel(
                 gui,
@@ -108,13 +124,24 @@ class Viewer:
                 on_export=self._export_changed,
                 on_refusal=self.refuse,
             )
-        self.player = Player(server, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
+        self.player = Player(host, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
         self.timeline = TimelinePanel(
-            gui, self.player, on_choice=self._refresh, on_inject=self._inject, on_refusal=self.refuse
+            gui,
+            on_choice=self._turn,
+            on_move=self._show_scene,
+            on_inject=self._inject,
+            on_star=self._star,
+            on_refusal=self.refuse,
         )
+        self.playback = PlaybackPanel(gui, self.player, on_choice=self._turn, on_refusal=self.refuse)
+        self.playback.panel.dock_below(left)
+        with self.timeline.panel.add_tab("A/B", viser.Icon.ARROWS_LEFT_RIGHT):
+            self.compare = ComparePanel(gui, on_choice=self._turn, on_refusal=self.refuse)
+        look = self.timeline.panel.add_tab("Look", viser.Icon.PALETTE)
+        self.looks = LooksPanel(gui, look, on_choice=self._refresh)
         self.timeline.panel.dock_below(gui.main_panel)
-        self._add_commands(gui)
-        self.chooser.on_update(lambda event: self._choose(event.client) if event.client else None)
+        add_deeds(gui, self._deeds())
+        self._news = News()
         self._refresh()
 
     @property
@@ -123,28 +150,56 @@ class Viewer:
         return self._selected
 
     def show(
-        self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
+        self,
+        histories: Mapping[str, History],
+        statuses: Mapping[str, tuple[Status, str]],
+        current: str | None = None,
     ) -> None:
         """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
         with self._lock:
             self._histories, self._statuses = dict(histories), dict(statuses)
+            self._known |= self._histories.keys()
             if current != self._suggested:
                 self._suggested = current
                 if current is not None:
                     self._selected = current
             self._settle_pending()
             self._refresh()
+        for piece in self._news.look(self._histories, self._statuses):
+            for client in clients_of(self._host):
+                client.add_notification(piece.title, piece.sentence, color=piece.colour, auto_close_seconds=15.0)
 
     def turn_to(self, iteration: int) -> None:
-        """Show the design of an iteration of the run on screen."""
+        """Show the design of an iteration of the run on screen, now or as soon as the run is known."""
         with self._lock:
-            self.timeline.turn_to(iteration)
+            self._sought = iteration
             self._refresh()
+
+    def open(self, run_id: str | None, iteration: int | None = None) -> None:
+        """Open the run of that name, or the start panel if it is None, and show the design of an iteration."""
+        with self._lock:
+            self.start.branch_from(None)
+            self.select(run_id)
+            if iteration is not None:
+                self.turn_to(iteration)
+
+    @property
+    def view(self) -> View:
+        """Return what is seen, as it can be put back."""
+        held = self._selected is not None and not self.timeline.follow.value
+        shown = self._sought if self._sought is not None else self.timeline.shown_iteration if held else None
+        return View(run=self._selected, iteration=shown, ticks=ticks_of(self._remembered))
+
+    def put_back(self, view: View) -> None:
+        """Show what `view` says."""
+        with self._lock:
+            put_back(self._remembered, view.ticks)
+            self.open(view.run, view.iteration)
 
     def select(self, run_id: str | None) -> None:
         """Open the run of that name, or the start panel if it is None."""
         with self._lock:
-            self._selected = run_id
+            self._selected, self._sought = run_id, None
             self._awaited_since = time.monotonic()
             self.tell(None)
             self._refresh()
@@ -163,7 +218,14 @@ class Viewer:
     def stop(self) -> None:
         """End the viewer's threads; the server is left to whoever started it."""
         self.what_if.stop()
+        self.timeline.stop()
+        self.gallery.stop()
         self.player.stop()
+
+    @property
+    def _remembered(self) -> dict[str, Remembered]:
+        """The inputs whose values are a person's habits, by the names under which they are kept."""
+        return {**self.timeline.remembered, **self.looks.remembered, **self.playback.remembered}
 
     # --- what people ask for ---
 
@@ -219,6 +281,15 @@ class Viewer:
     def _inject(self, phi: Callable[[], list[float]], client: viser.ClientHandle | None) -> None:
         self._send(lambda: [InjectDesign(phi())], client)
 
+    def _star(self, iteration: int, starred: bool, client: viser.ClientHandle | None) -> None:
+        if self._selected is None:
+            return
+        try:
+            self._album.star(self._selected, iteration, starred)
+        except (ValueError, OSError) as error:
+            self.refuse(str(error), client)
+        self._refresh()
+
     def _export(self, which: str, formats: Sequence[str]) -> Bundle:
         run_id = self._selected
         if run_id is None:
@@ -256,25 +327,35 @@ class Viewer:
 
         self._send(command, client)
 
-    def _choose(self, client: viser.ClientHandle | None) -> None:
-        chosen = self.chooser.value
-        known = {label: run_id for run_id, label in self._labels.items()}
-        if chosen != NEW_RUN and chosen not in known:
-            self.refuse(f'unknown run "{chosen}"; choose one of the list', client)
-            return
-        self.start.branch_from(None)
-        self.select(None if chosen == NEW_RUN else known[chosen])
+    def _deeds(self) -> list[Deed]:
+        """Return what the command palette offers; the page's help names the keys."""
+        icon, timeline, playback = viser.Icon, self.timeline, self.playback
+        return [
+            Deed("Play or pause the episode", lambda _: playback.toggle_playback(), ("space", "K"), icon.PLAYER_PLAY),
+            Deed("One frame back", lambda _: playback.step(-1), (",",)),
+            Deed("One frame on", lambda _: playback.step(1), (".",)),
+            Deed("One iteration back", lambda _: timeline.step(-1), ("arrowleft",), icon.ARROW_LEFT),
+            Deed("One iteration on", lambda _: timeline.step(1), ("arrowright",), icon.ARROW_RIGHT),
+            Deed("Live: follow the latest design", lambda _: timeline.toggle_follow(), ("L",), icon.PLAYER_TRACK_NEXT),
+            Deed("Play or pause the evolution", lambda _: timeline.toggle_evolution(), ("E",), icon.MOVIE),
+            Deed("Star the shown design", self._at_a_run(timeline.toggle_star), ("S",), icon.STAR),
+            Deed("Branch from the shown iteration", self._at_a_run(self._open_branch), ("B",), icon.GIT_BRANCH),
+            Deed("Pause or resume the run", self._at_a_run(self.run.toggle), ("P",), icon.PLAYER_PAUSE),
+            Deed("New run", lambda _: self.open(None), ("N",), icon.PLUS),
+            Deed("Show the whole scene", lambda _: self.player.look_at_all(), ("R",), icon.FOCUS_CENTERED),
+            *(
+                Deed(f"{word} the run", self._at_a_run(lambda client, word=word: self.run.ask(word, client)))
+                for word in MORE
+            ),
+            Deed("Continue the run from the shown design", self._at_a_run(timeline.go_on_from_here)),
+            Deed("Change this body: what if", self._at_a_run(lambda _: self.what_if.start())),
+            Deed("Close what if", lambda _: self.what_if.close()),
+            Deed("Check and prepare the export", self._at_a_run(lambda _: self.export.submit())),
+        ]
 
-    def _add_commands(self, gui: viser.GuiApi) -> None:
-        run = gui.add_command("Pause or resume the run", hotkey="P", icon=viser.Icon.PLAYER_PAUSE)
-        run.on_trigger(lambda event: self.run.toggle(event.client) if self._selected else None)
-        for hotkey in ("space", "K"):
-            playback = gui.add_command("Play or pause the episode", hotkey=hotkey, icon=viser.Icon.PLAYER_PLAY)
-            playback.on_trigger(lambda _: self.timeline.toggle_playback())
-        branch = gui.add_command("Branch from the shown iteration", hotkey="B", icon=viser.Icon.GIT_BRANCH)
-        branch.on_trigger(lambda event: self._open_branch(event.client) if self._selected else None)
-        follow = gui.add_command("Follow the latest design", hotkey="F", icon=viser.Icon.PLAYER_TRACK_NEXT)
-        follow.on_trigger(lambda _: self.timeline.toggle_follow())
+    def _at_a_run(self, do: Do) -> Do:
+        """Return the deed, but nothing where no run is on screen."""
+        return lambda client: do(client) if self._selected in self._histories else None
 
     # --- what is shown ---
 
@@ -282,7 +363,6 @@ class Viewer:
         """Bring every panel up to date with the selected run."""
         with self._lock:
             run_id = self._selected
-            self._list_runs()
             history = self._histories.get(run_id) if run_id else None
             self.start.folder.visible = run_id is None
             self.tabs.visible = run_id is not None
@@ -297,13 +377,36 @@ class Viewer:
             self.steer.update(history, status)
             self.design.update(history, status)
             self.export.update(history)
-            self.timeline.update(history, live=live, by_hand=self.what_if.is_changed)
+            starred = self._album.starred(history)
+            by_hand = self.what_if.is_changed
+            self.timeline.update(history, live=live, starred=starred, by_hand=by_hand)
+            if self._sought is not None:
+                self.timeline.turn_to(self._sought)
+                self._sought = None
+                self.timeline.update(history, live=live, starred=starred, by_hand=by_hand)
+            self.looks.update(history)
+            self.gallery.update(history)
             shown, phi = self._shown_design(history)
+            self.playback.update(history, shown)
+            self.compare.update(self._histories, history, shown)
             self.run.offer_branch(shown)
             self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
             self.what_if.update(history, shown, phi, live=live, following=self.timeline.follow.value)
             self.player.show(self._shot(history, shown, phi))
+
+    def _turn(self) -> None:
+        """Show another design: first the body, as a person waits for that, then all that is said of it."""
+        self._turns += 1
+        turn = self._turns
+        self._show_scene()
+        self.player.wait(_BODY_FIRST)
+        if turn == self._turns:  # else a newer choice brings the panels up to date
+            self._refresh()
+
+    def _turn_to(self, iteration: int) -> None:
+        self.timeline.turn_to(iteration)
+        self._turn()
 
     def _show_scene(self) -> None:
         """Bring the scene alone up to date, as a body that is dragged must move at once."""
@@ -325,6 +428,9 @@ class Viewer:
         self.design.clear()
         self.export.clear()
         self.what_if.clear()
+        self.compare.clear()
+        self.looks.clear()
+        self.gallery.clear()
         if run_id is None:
             self.traces.clear("no data yet: press Start")
             self.timeline.clear("what a run begins with, in its start posture")
@@ -332,23 +438,15 @@ class Viewer:
                 self.player.show(preview)
             return
         status, message = self._statuses.get(run_id, ("starting", "starting…"))
-        if run_id not in self._statuses and time.monotonic() - self._awaited_since > _START_PATIENCE:
+        if run_id in self._known and run_id not in self._statuses:
+            if self._sought is None and not self.timeline.follow.value:
+                self._sought = self.timeline.shown_iteration  # for when it comes back
+            status, message = "lost", f"{run_id} is no longer in the folder of runs: it was deleted or moved. {_GONE}"
+        elif run_id not in self._statuses and time.monotonic() - self._awaited_since > _START_PATIENCE:
             message = f"{run_id} has not shown up; the studio's log may say why"
         self.run.show_message(status, message)
         self.traces.clear(f"{status}: {message}")
         self.timeline.clear(message)
-
-    def _list_runs(self) -> None:
-        ids = {*self._histories, *self._statuses, *([self._selected] if self._selected else [])}
-        self._labels = {
-            run_id: f"{self._statuses.get(run_id, ('starting', ''))[0]} · {run_id}"
-            for run_id in sorted(ids, reverse=True)
-        }
-        options = (NEW_RUN, *self._labels.values())
-        chosen = self._labels[self._selected] if self._selected else NEW_RUN
-        if tuple(self.chooser.options) != options:
-            self.chooser.options = options
-        self.chooser.value = chosen
 
     def _shown_design(self, history: History) -> tuple[int, np.ndarray]:
         """Return the iteration and phi (d,) that are to be shown."""
@@ -364,17 +462,23 @@ class Viewer:
         if changed:
             before, name = tuple(phi.tolist()), "recorded"
         in_front = self.what_if.phi if self.what_if.open else phi
+        which = self.playback.which(history, shown) if recorded and not self.what_if.open else None
+        second, overlaid = self.compare.second_shot(which, printed=self.looks.printed.value)
         return Shot(
             task=history.record.task,
             task_options=tuple(sorted(history.record.task_options.items())),
             phi=tuple(in_front.tolist()),
             episode=None if self.what_if.open else recorded,
+            which=which,
+            forces=self.playback.forces.value,
             played=self.what_if.episode if self.what_if.open else None,
-            ghost=before if self.timeline.ghost.value and (changed or shown > history.begins_at or recorded) else None,
+            ghost=before if self.looks.ghost.value and (changed or shown > history.begins_at or recorded) else None,
             ghost_name=name,
-            trail=tuple(self.timeline.earlier(history)),
-            printed=self.timeline.printed.value,
-            population=self.timeline.population.value,
+            printed=self.looks.printed.value,
+            tint=self.looks.tint(history, shown, in_front),
+            beside=self.looks.beside(history, shown),
+            second=second,
+            overlaid=overlaid,
         )
 
     def _settle_pending(self) -> None:
@@ -393,10 +497,10 @@ class Viewer:
                     open_ones.append((command, asked_at))
             self._pending[run_id] = open_ones
 
-    def _show_time(self, seconds: float, duration: float) -> None:
-        self.timeline.show_time(seconds, duration)
-        if self.player.take:
-            self.timeline.show_legend(legend_of(self.player.take))
+    def _show_time(self, seconds: float, _duration: float) -> None:
+        if take := self.player.take:
+            self.playback.show_time(take, seconds)
+            self.timeline.show_legend(legend_of(take))
 
 
 def _sender(client: viser.ClientHandle | None) -> str:

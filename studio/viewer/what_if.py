@@ -125,7 +125,7 @@ class WhatIfPanel:
         )
         self.export = gui.add_button("Export this", icon=viser.Icon.DOWNLOAD, hint="This φ with the policy, as a zip")
         self.leave = gui.add_button("Close", icon=viser.Icon.X, color="gray", hint="Back to what was recorded")
-        self.begin.on_click(lambda _: self._begin())
+        self.begin.on_click(lambda _: self.start())
         self.leave.on_click(lambda _: self.close())
         self.reset.on_click(lambda _: self._set(self._recorded))
         self.sweep.on_click(lambda _: self._start_sweep())
@@ -191,7 +191,8 @@ class WhatIfPanel:
 
     # --- what people do ---
 
-    def _begin(self) -> None:
+    def start(self) -> None:
+        """Begin to change the shown design by hand."""
         history = self._history
         if history is None:
             return

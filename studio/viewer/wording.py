@@ -35,6 +35,11 @@ def paragraph(content: str) -> str:
     )
 
 
+def wide(content: str) -> str:
+    """Return `content`, which is HTML already, as a block without margins of its own, to stand right below another."""
+    return f'<div style="margin:0">{content}</div>'
+
+
 def dim(content: str) -> str:
     """Return `content`, which is HTML already, in a paler shade."""
     return f'<span style="opacity:0.65">{content}</span>'

@@ -4,10 +4,12 @@ Starts a real server on a copy of a run, opens the panel by a raw websocket clie
 own rendering comes on top. The CPU seconds of server and evaluating process say what it would take on idle cores.
 """
 
+import contextlib
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,34 +42,45 @@ class Browser:
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket = socket
-        self._messages = self._read()
+        self._waiting: deque[dict[str, Any]] = deque()
         self.labels: dict[str, tuple[str, dict[str, Any]]] = {}
         """Inputs and buttons by label: their uuid and what they are."""
 
     def until(self, claim: Callable[[dict[str, Any]], bool], seconds: float = 60.0) -> float:
         """Take messages in until one is as claimed; return the seconds since this call."""
         began = time.monotonic()
-        for message in self._messages:
-            if claim(message):
-                return time.monotonic() - began
+        while not claim(self._next()):
             assert time.monotonic() - began < seconds, "it never came"
-        raise AssertionError("the viewer has closed")
+        return time.monotonic() - began
+
+    def settle(self, quiet: float = 0.4, longest: float = 2.0) -> None:
+        """Take in what is still on its way, until nothing comes for `quiet` seconds, or for `longest` seconds."""
+        end = time.monotonic() + longest
+        with contextlib.suppress(TimeoutError):
+            while time.monotonic() < end:
+                self._waiting.clear()
+                self._receive(quiet)
+        self._waiting.clear()
 
     def send(self, uuid: str, value: object) -> None:
         """Set a value as a person does."""
         message = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}}
         self._socket.send(msgspec.msgpack.encode(message))
 
-    def _read(self) -> Iterator[dict[str, Any]]:
-        while True:
-            frame = bytes(self._socket.recv())
-            size = int.from_bytes(frame[8:16], "little")
-            batch = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(frame[16 : 16 + size]))
-            for message in batch["messages"]:
-                label = message.get("props", {}).get("label") if isinstance(message.get("props"), dict) else None
-                if label:
-                    self.labels[label] = message["uuid"], message
-                yield message
+    def _next(self) -> dict[str, Any]:
+        while not self._waiting:
+            self._receive()
+        return self._waiting.popleft()
+
+    def _receive(self, timeout: float | None = None) -> None:
+        frame = bytes(self._socket.recv(timeout))
+        size = int.from_bytes(frame[8:16], "little")
+        batch = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(frame[16 : 16 + size]))
+        for message in batch["messages"]:
+            label = message.get("props", {}).get("label") if isinstance(message.get("props"), dict) else None
+            if label:
+                self.labels[label] = message["uuid"], message
+            self._waiting.append(message)
 
 
 def changes_robot(message: dict[str, Any]) -> bool:

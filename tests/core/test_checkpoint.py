@@ -111,9 +111,10 @@ def test_a_damaged_checkpoint_is_an_error_and_an_older_one_stands_in(
             (path / name).unlink()
     with pytest.raises(RunFolderError, match="checkpoint 2 of run can't be read"):
         load_checkpoint(folder, 2, TASK, SMALL)
-    newest = load_newest(folder, TASK, SMALL)
+    newest, damaged = load_newest(folder, TASK, SMALL)
     assert newest is not None
     assert newest[0].iteration == 1
+    assert [words.startswith("checkpoint 2 of run can't be read: ") for words in damaged] == [True]
 
 
 @pytest.mark.parametrize(("umask", "mode"), [(0o002, 0o664), (0o022, 0o644), (0o077, 0o600)])
@@ -131,7 +132,7 @@ def test_a_group_can_go_on_with_a_run_if_its_umask_says_so(tmp_path: Path, umask
 
 
 def test_a_run_without_checkpoints_has_no_newest(tmp_path: Path) -> None:
-    assert load_newest(make_run(tmp_path), TASK, SMALL) is None
+    assert load_newest(make_run(tmp_path), TASK, SMALL) == (None, [])
 
 
 def test_a_value_that_is_not_finite_is_noticed() -> None:

@@ -22,6 +22,7 @@ from tests.core.scales import Scales, replaced
 
 METHOD = replaced(search=Drift(pairs=8, designs=8), exploration=Gaussian(), design_interval=2)
 NOT_KEPT = {
+    "generation": "shown to people with the next evaluation, and drawn anew in every search for phi",
     "explored": "shown to people with the next evaluation, and drawn anew in every iteration",
 }
 """Fields that no checkpoint holds, with the reason."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from morph_core import durable
+from morph_core.run_folder import CHECKPOINT
 
 KILLED = """
 import os, pathlib, shutil, sys
@@ -53,7 +54,7 @@ def test_a_folder_is_the_old_or_the_new_one_whenever_its_writer_dies(tmp_path: P
         for name in ("weights", "state"):
             (parent / "000001" / name).write_text("old")
         died = dies(parent / "000001", after, "folder")
-        durable.recover(parent)
+        durable.recover(parent, CHECKPOINT)
         assert hidden(parent) == []
         contents = [(parent / "000001" / name).read_text() for name in ("weights", "state")]
         assert contents in (["old"] * 2, ["new"] * 2)
@@ -138,7 +139,7 @@ def test_the_latest_of_several_moved_aside_comes_back(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         (tmp_path / name / f"{age} s ago").touch()
         os.utime(tmp_path / name, (10_000 - age, 10_000 - age))
-    durable.recover(tmp_path)
+    durable.recover(tmp_path, CHECKPOINT)
     assert sorted(p.relative_to(tmp_path).as_posix() for p in tmp_path.glob("*/*")) == [
         "000001/0 s ago", "000002/0 s ago",
     ]  # fmt: skip

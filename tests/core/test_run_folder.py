@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from morph_core import protocol
 from morph_core.history import History
 from morph_core.protocol import Heartbeat, Progress, StateChanged
+from morph_core.pulse import LOST_AFTER
 from morph_core.run_folder import (
-    LOST_AFTER,
     EventLog,
     HeartbeatFile,
     HeldError,
@@ -243,7 +243,7 @@ def test_a_heartbeat_from_elsewhere_lives_as_long_as_it_changes_for_its_reader(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, clock = make_run(tmp_path), 100.0
-    monkeypatch.setattr("morph_core.history.time", SimpleNamespace(time=time.time, monotonic=lambda: clock))
+    monkeypatch.setattr("morph_core.pulse.time", SimpleNamespace(time=time.time, monotonic=lambda: clock))
     EventLog(folder).append(StateChanged(status="running", iteration=0))
     file, now = HeartbeatFile(folder), time.time()
     file.write(beat("running", 7, now - 100, now, "cluster-node"))
@@ -286,7 +286,7 @@ def test_running_lost_and_ended_are_told_apart(tmp_path: Path) -> None:
     me, now = psutil.Process(), time.time()
     file.write(beat("running", me.pid, me.create_time(), now - 60))
     assert History(folder).status == "running"  # the process is there, however late its heartbeat
-    assert folder.trainer_alive()
+    assert History(folder).pulse.is_alive
     file.write(beat("running", 2**22 + 1, now - 100, now))
     assert History(folder).status == "lost"  # no such process here
     file.write(beat("running", 2**22 + 1, now - 100, now, "cluster-node"))
@@ -299,7 +299,7 @@ def test_running_lost_and_ended_are_told_apart(tmp_path: Path) -> None:
     file.write(beat("running", me.pid, me.create_time() - 1000, now - 60))
     assert History(folder).status == "lost"  # the pid was reused
     assert "resume" in History(folder).message
-    assert not folder.trainer_alive()
+    assert not History(folder).pulse.is_alive
     file.write(msgspec.structs.replace(beat("failed", 2**22 + 1, 0.0, now - 60), message="disk full"))
     assert History(folder).status == "failed"  # not even the event could be written
     log.append(StateChanged(status="finished", iteration=6, message="done"))

@@ -23,7 +23,7 @@ from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, StateChanged
 from morph_core.run_folder import EventLog, RunFolder, read_episode
 from morph_core.searches.cma import Cma
 from morph_core.state import start
-from morph_core.train import Trainer, _keep_beating, apply_edit
+from morph_core.train import SHOWN_DESIGNS, Trainer, _keep_beating, apply_edit
 from tests.core.conftest import SMALL, make_run, small_method
 
 
@@ -64,7 +64,9 @@ def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path:
     steps = len(episode["action"])
     assert episode["qpos"].shape == (steps + 1, 5)
     assert episode["contact"].shape == (steps, 1, 3)
-    assert episode["population"].shape == (min(SMALL.trajectories, 12), 5)
+    assert episode["population"].shape == (min(SMALL.trajectories, SHOWN_DESIGNS), 5)
+    assert episode["generation"].shape == (4, 5)  # what the last generation of CMA-ES tried
+    assert np.ptp(episode["generation"], axis=0).min() > 0
     assert not [name for name in episode if name.startswith("milestones/")]
     assert [e.milestones for e in history.evaluations] == [{}] * 3
     fitted = SMALL.proxy.prefit * SMALL.proxy.prefit_pairs
@@ -459,7 +461,7 @@ def test_what_is_acknowledged_is_in_a_checkpoint_before_the_word(
 
     def look(_: EventLog, event: AnyEvent) -> AnyEvent:
         if isinstance(event, protocol.Acknowledged):
-            found.append(load_newest(folder, task, SMALL))
+            found.append(load_newest(folder, task, SMALL)[0])
         return event
 
     monkeypatch.setattr(EventLog, "append", look)

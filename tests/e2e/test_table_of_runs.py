@@ -177,9 +177,7 @@ def test_runs_are_compared_and_a_design_is_opened_in_3d(server: Server, page: Pa
     assert complaints == []
     page.mouse.down()
     page.mouse.up()
-    page.wait_for_url(re.compile(r"/$"))
-    listed = page.request.get(f"http://127.0.0.1:{server.port}/api/runs").json()
-    assert [run["id"] for run in listed if run["current"]] == [told[1]]
+    page.wait_for_url(re.compile(rf"/\?run={told[1]}&iteration={told[2]}$"))
     frame = page.frame_locator("#viewer")
     expect(frame.get_by_text(f"design of iteration {told[2]}, in its start posture")).to_be_attached(timeout=60_000)
 

@@ -27,6 +27,7 @@ from morph_core.history import History
 from morph_core.protocol import FORMAT, AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
 from morph_core.what_if import Measured
+from studio.album import Album
 from studio.app import create_app
 from studio.branches import Member
 from studio.bridge import MAX_MESSAGE
@@ -39,6 +40,7 @@ from studio.runs import Runs
 from studio.settings import Settings
 from studio.viewer import Viewer
 from studio.viewer.take import Take
+from studio.viewer.view import Seen, View
 from studio.what_if import SweepPoint, WhatIf, WhatIfs, Wish, sweep_designs
 
 ROOT = Path(__file__).parents[2]
@@ -78,9 +80,11 @@ with hold(folder):
 """
 
 
-def stand_in(folder: RunFolder, *, further: int | None = None, mood: str = "healthy") -> subprocess.Popen[bytes]:
+def stand_in(
+    folder: RunFolder, *, further: int | None = None, from_start: bool = False, mood: str = "healthy"
+) -> subprocess.Popen[bytes]:
     """Start a process that keeps the trainer's side of the run folder, and learns nothing."""
-    del further
+    del further, from_start
     with (folder.path / "trainer.log").open("ab") as log:
         return subprocess.Popen(
             [sys.executable, "-c", STAND_IN, str(folder.path), mood],
@@ -90,7 +94,9 @@ def stand_in(folder: RunFolder, *, further: int | None = None, mood: str = "heal
 
 def in_mood(mood: str) -> Callable[..., subprocess.Popen[bytes]]:
     """Return a `spawn` whose stand-ins are stillborn or dying."""
-    return lambda folder, *, further=None: stand_in(folder, further=further, mood=mood)
+    return lambda folder, *, further=None, from_start=False: stand_in(
+        folder, further=further, from_start=from_start, mood=mood
+    )
 
 
 def make_run(runs: Path, name: str = NAME, ended: Status | None = "stopped") -> RunFolder:
@@ -233,6 +239,30 @@ class Oracle:
 
 
 @dataclass
+class Stars:
+    """Stars in memory, and pictures of nothing, of which it notes the designs."""
+
+    stars: dict[str, set[int]] = field(default_factory=dict)
+    drawn: list[Sequence[float]] = field(default_factory=list)
+    refusal: str | None = None
+
+    def starred(self, history: History) -> list[int]:
+        return sorted(self.stars.get(history.folder.id, set()))
+
+    def star(self, run_id: str, iteration: int, starred: bool) -> None:
+        if self.refusal:
+            raise ValueError(self.refusal)
+        stars = self.stars.setdefault(run_id, set())
+        stars.add(iteration) if starred else stars.discard(iteration)
+
+    def picture(self, history: History, phi: Sequence[float]) -> bytes:
+        if self.refusal:
+            raise ValueError(self.refusal)
+        self.drawn.append(phi)
+        return b"a picture"
+
+
+@dataclass
 class Page:
     """A viewer, and what it has asked for."""
 
@@ -246,6 +276,7 @@ class Page:
     """Designs changed by hand that were exported."""
     branched: list[tuple[str, int, list[float]]] = field(default_factory=list)
     answers: Oracle = field(default_factory=Oracle)
+    album: Stars = field(default_factory=Stars)
     refusal: str | None = None
     family: Member | None = None
 
@@ -284,7 +315,7 @@ def page() -> Iterator[Page]:
         heed(lambda: page.branched.append((run_id, iteration, phi)))
         return NAME
 
-    answers = Oracle()
+    answers, album = Oracle(), Stars()
     viewer = Viewer(
         server,
         on_command=lambda run_id, command, _: heed(lambda: page.commands.append((run_id, command))),
@@ -294,8 +325,9 @@ def page() -> Iterator[Page]:
         on_export=export,
         answers=answers,
         family=lambda _: page.family,
+        album=album,
     )
-    page = Page(server, viewer, answers=answers)
+    page = Page(server, viewer, answers=answers, album=album)
     yield page
     viewer.stop()
     server.stop()
@@ -303,26 +335,32 @@ def page() -> Iterator[Page]:
 
 @dataclass
 class Blackboard:
-    """A viewer that writes down what it is shown; `broken` makes it raise."""
+    """Desks that write down what they are shown; `broken` makes them raise."""
 
     server: viser.ViserServer
     runs: Runs
     what_ifs: WhatIfs
     shown: list[tuple[list[str], dict[str, tuple[Status, str]], str | None]] = field(default_factory=list)
-    turned_to: list[tuple[str | None, int]] = field(default_factory=list)
+    turned_to: list[tuple[str, int | None]] = field(default_factory=list)
     broken: bool = False
-    selected: str | None = None
+    selected: frozenset[str] = frozenset()
+    views: dict[str, View] = field(default_factory=dict)
 
     def show(
         self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
     ) -> None:
         if self.broken:
             raise RuntimeError("the viewer is broken, says the test")
-        self.selected = current
         self.shown.append((list(histories), dict(statuses), current))
 
-    def turn_to(self, iteration: int) -> None:
-        self.turned_to.append((self.selected, iteration))
+    def turn_to(self, run_id: str, iteration: int | None) -> None:
+        self.turned_to.append((run_id, iteration))
+
+    def seen(self, key: str) -> Seen:
+        return Seen(**msgspec.structs.asdict(self.views.get(key, View())), connected=key in self.views)
+
+    def put(self, key: str, view: View) -> None:
+        self.views[key] = view
 
     def stop(self) -> None:
         self.shown.append(([], {}, None))
@@ -351,13 +389,13 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     """Serve the real application on a free port; end the stand-ins it has started."""
     viewers: list[Blackboard] = []
 
-    def viewer(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs) -> Blackboard:
+    def desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, _: Album) -> Blackboard:
         viewers.append(Blackboard(server, runs, what_ifs))
         return viewers[0]
 
     listener = socket.create_server(("127.0.0.1", 0))
     port = listener.getsockname()[1]
-    app = create_app(settings, runs=Runs(settings.runs, spawn), viewer=viewer)
+    app = create_app(settings, runs=Runs(settings.runs, spawn), desks=desks)
     config = uvicorn.Config(app, log_level="error", ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)

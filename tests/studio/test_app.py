@@ -16,12 +16,14 @@ import pytest
 from conftest import ROOT, TOKEN, Served, eventually, make_run, stand_in
 
 from morph_core.run_folder import RunFolder, process_alive
+from studio.runs import WATCHED
 from studio.settings import Settings
 
 SERVE = """
 import sys
 from pathlib import Path
 from studio.app import serve
+from studio.runs import WATCHED
 from studio.settings import Settings
 serve(Settings(port=int(sys.argv[1]), runs=Path(sys.argv[2]), state=Path(sys.argv[3]), open_browser=False))
 """
@@ -140,11 +142,13 @@ def test_the_viewer_is_shown_the_runs_and_what_became_of_them(served: Served) ->
     assert current is None
 
 
-def test_a_run_chosen_in_the_viewer_is_the_pages_run_too(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    make_run(served.runs.folder, "run")
-    monkeypatch.setattr(served.viewer, "show", lambda *_: None)
-    served.viewer.selected = "run"
-    assert eventually(lambda: served.client.get("/api/runs").json()[0]["current"])
+def test_a_run_on_some_screen_is_read_however_old_it_is(served: Served) -> None:
+    for i in range(WATCHED + 1):
+        make_run(served.runs.folder, f"run-{i:02}")
+    assert eventually(lambda: served.viewer.shown and len(served.viewer.shown[-1][0]) == WATCHED)
+    assert "run-00" not in served.viewer.shown[-1][0]
+    served.viewer.selected = frozenset({"run-00"})
+    assert eventually(lambda: "run-00" in served.viewer.shown[-1][0])
 
 
 def test_the_newest_run_is_on_screen_at_the_start(settings: Settings) -> None:
@@ -153,7 +157,7 @@ def test_the_newest_run_is_on_screen_at_the_start(settings: Settings) -> None:
     make_run(settings.runs, "20260101-a")
     make_run(settings.runs, "20260102-b")
     with serving(settings) as served:
-        assert eventually(lambda: served.viewer.selected == "20260102-b")
+        assert eventually(lambda: served.viewer.shown and served.viewer.shown[-1][2] == "20260102-b")
 
 
 def test_the_shell_page_loads_only_its_own_files(served: Served) -> None:

@@ -515,14 +515,14 @@ def test_bounds_and_a_design_to_start_from_go_together(page: Page, trained: RunF
     assert page.started[0].parent == Parent(trained.id, 1)
 
 
-@pytest.mark.parametrize("way", ["chooser", "button"])
+@pytest.mark.parametrize("way", ["opened", "button"])
 def test_a_branch_is_forgotten_for_a_new_run(page: Page, trained: RunFolder, way: str) -> None:
     page.show(trained)
     page.viewer._open_branch(None)
     if way == "button":
         page.viewer.start._forget()
     else:
-        page.viewer._choose(None)
+        page.viewer.open(None)
     form = page.viewer.start
     assert (form.source.visible, form.task.disabled, form.options["reacher"]["tunnel"].visible) == (False, False, True)
     form.submit(None)

@@ -37,10 +37,12 @@ def guarded() -> Iterator[GuardedViser]:
     server.stop()
 
 
-def browse(served: Served, origin: str | None = None, version: Subprotocol = VERSION) -> ClientConnection:
+def browse(
+    served: Served, origin: str | None = None, version: Subprotocol = VERSION, path: str = "/viewer"
+) -> ClientConnection:
     """Open the viewer's websocket as a browser of our own page does."""
     return connect(
-        f"ws://127.0.0.1:{served.port}/viewer",
+        f"ws://127.0.0.1:{served.port}{path}",
         origin=Origin(origin or f"http://127.0.0.1:{served.port}"),
         additional_headers={"Authorization": f"Bearer {TOKEN}"},
         subprotocols=[version],

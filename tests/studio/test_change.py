@@ -17,6 +17,7 @@ from morph_core.history import History
 from morph_core.protocol import Parameter, SetBound
 from morph_core.run_folder import RunFolder
 from studio.viewer.change import change_table
+from studio.viewer.charts import MARK
 from studio.viewer.parts import Unit, quantities_of, split_name, unit_of
 from studio.viewer.rules import rules_of
 from studio.viewer.traces import _traces_of
@@ -40,7 +41,7 @@ def test_a_hand_shows_its_printed_parts_until_somebody_wants_its_collision_shape
 ) -> None:
     page.show(folder)
     assert set(page.take(lambda take: take.shot.task == "pen_press").robot.kinds) == {"mesh"}
-    page.viewer.timeline.printed.value = False
+    page.viewer.looks.printed.value = False
     assert set(page.take(lambda take: "mesh" not in take.robot.kinds).robot.kinds) == {"capsule", "cylinder"}
     page.viewer.select(None)
     assert "mesh" not in page.take(lambda take: take.shot.task == "reacher").robot.kinds  # threads among metres
@@ -51,10 +52,10 @@ def test_a_robot_without_printed_parts_offers_none_to_be_seen(
 ) -> None:
     monkeypatch.setitem(TASKS._loaded(), Pointer.name, Pointer)
     page.show(folder)
-    assert page.viewer.timeline.printed.visible
+    assert page.viewer.looks.printed.visible
     page.show(make_hand_run(tmp_path / "others", Pointer.name, "a-pointer"))
-    assert not page.viewer.timeline.printed.visible
-    assert page.viewer.timeline.ghost.visible
+    assert not page.viewer.looks.printed.visible
+    assert page.viewer.looks.ghost.visible
 
 
 # --- parts and units ---
@@ -203,12 +204,13 @@ def test_success_has_its_milestones_and_each_unit_of_phi_its_own_chart(page: Pag
     page.show(folder)
     charts = page.viewer.traces.charts
     labels = {title: [series.get("label") for series in chart.series[1:]] for title, chart in charts.items()}
-    assert labels["Success on Hw-Phy"] == ["sampled", "deterministic", "lifted", "pressed"]
-    np.testing.assert_allclose([column[-1] for column in charts["Success on Hw-Phy"].data[1:]], [25, 50, 75, 50])
-    assert labels["Design φ: placement by finger"] == labels["Design φ: length by finger"] == ["1", "2", "3", "4"]
-    np.testing.assert_allclose(charts["Design φ: placement by finger"].data[1], np.degrees([0, 0.1]))
+    assert labels["Success on Hw-Phy"] == ["sampled", "deterministic", "lifted", "pressed", MARK]
+    np.testing.assert_allclose([column[-1] for column in charts["Success on Hw-Phy"].data[1:-1]], [25, 50, 75, 50])
+    assert labels["Design φ: placement by finger"] == labels["Design φ: length by finger"] == ["1", "2", "3", "4", MARK]
+    placement = charts["Design φ: placement by finger"].data[1]
+    np.testing.assert_allclose(placement, np.degrees([0, *[0.1] * 4]))
     initial = 100 * make_task("pen_press").design_space.initial[-1]
-    np.testing.assert_allclose(charts["Design φ: length by finger"].data[1], [initial, initial + 5])
+    np.testing.assert_allclose(charts["Design φ: length by finger"].data[1], initial + np.array([0, *[5] * 4]))
     assert "+5.7°" in page.viewer.traces.change.content
 
 
@@ -217,7 +219,9 @@ def test_charts_are_made_anew_for_a_run_of_another_robot(page: Page, folder: Run
     page.show(make_run(tmp_path / "other"))
     assert "Design φ" in page.viewer.traces.charts
     assert not any(title.startswith("Design φ:") for title in page.viewer.traces.charts)
-    assert len(page.viewer.traces.charts["Success on Hw-Phy"].series) == 3
+    assert (
+        len(page.viewer.traces.charts["Success on Hw-Phy"].series) == 4
+    )  # both policies, and the line at the shown iteration
 
 
 def test_the_divergence_is_in_the_units_of_z(folder: RunFolder, tmp_path: Path) -> None:

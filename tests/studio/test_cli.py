@@ -123,14 +123,14 @@ def test_help_lists_the_commands_within_a_second() -> None:
     done = morph_studio("--help")
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines() if line.startswith("  ")] == [
-        "serve", "train", "study", "runs", "log", "replay", "evaluate", "export", "verify", "import",
+        "serve", "train", "study", "runs", "log", "replay", "evaluate", "compare", "export", "verify", "import",
     ]  # fmt: skip
     after = os.times()
     assert after.children_user + after.children_system - before.children_user - before.children_system < 1.0
 
 
 @pytest.mark.parametrize(
-    "command", ["serve", "train", "study", "runs", "log", "replay", "evaluate", "export", "verify", "import"]
+    "command", ["serve", "train", "study", "runs", "log", "replay", "evaluate", "compare", "export", "verify", "import"]
 )
 def test_every_command_explains_itself(command: str) -> None:
     done = morph_studio(command, "--help")
@@ -163,7 +163,7 @@ def test_the_command_line_does_not_load_torch() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("brew", "choose from: serve, train, study, runs, log, replay, evaluate, export, verify, import"),
+        ("brew", "choose from: serve, train, study, runs, log, replay, evaluate, compare, export, verify, import"),
         ("train", "choose from: reacher, pen_press, mouse_click"),
         ("train reacher --env-steps 0", "env_steps must be a whole number from 1 to 1000000000000, not 0"),
         ("train reacher --env-steps 0.5", "not 0.5"),
@@ -478,7 +478,7 @@ def test_ctrl_c_saves_stops_and_says_how_to_go_on(
     assert folder.checkpoint_iterations()[-1] == history.iteration
     assert f"morph-studio train --resume {folder.path}" in said
     assert "Traceback" not in said
-    assert not folder.trainer_alive()
+    assert not History(folder).pulse.is_alive
     again = trained(folder.path.parent, "--resume", folder.id, "--iterations", "1")
     assert again["iterations"] == history.iteration + 1
 

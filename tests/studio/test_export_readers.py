@@ -25,6 +25,7 @@ from studio.export.errors import ExportError
 from studio.export.mjcf import in_old_words, new_words, oldest_reader
 from studio.export.proof import prove_robot, unpack
 from studio.export.ros import package_name
+from studio.export.screen import screen
 from studio.export.stand import check_standing
 from studio.export.urdf import CARRIER_MASS, write_urdf
 from studio.export.verify import verify
@@ -377,6 +378,18 @@ def test_a_ros_package_holds_all_that_its_files_ask_for() -> None:
     assert all(f" {place}" in installed for place in {path.split("/")[0] for path in inside if "/" in path})
     texts = [content.decode() for path, content in inside.items() if not path.startswith("meshes/")]
     assert not any("@" in text.replace("nobody@example.com", "") for text in texts), "a word was left unfilled"
+
+
+@pytest.mark.parametrize(
+    "address", ["package://pen_press_description/../../../x.stl", "package://other/meshes/x.stl", "x.stl"]
+)
+def test_a_package_that_asks_for_a_file_outside_is_screened_out(address: str) -> None:
+    path, mesh = "ros/pen_press_description/urdf/hand.urdf", "ros/pen_press_description/meshes/x.stl"
+    shown = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
+    urdf = f'<robot name="hand"><link name="world">{shown}</link></robot>'
+    sound = {path: urdf.format("package://pen_press_description/meshes/x.stl").encode(), mesh: b""}
+    assert all(check.passed for check in screen(sound, "hand"))
+    assert not all(check.passed for check in screen(sound | {path: urdf.format(address).encode()}, "hand"))
 
 
 def test_servos_for_ros_need_a_urdf_and_a_robot_without_any_has_none() -> None:

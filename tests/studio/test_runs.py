@@ -127,7 +127,7 @@ def test_a_started_run_is_shown_obeys_and_stops(runs_folder: Path) -> None:
     assert eventually(lambda: runs.status(runs.get(run_id))[0] == "paused")
     runs.send(run_id, Stop())
     assert eventually(lambda: runs.status(runs.get(run_id))[0] == "stopped")
-    assert eventually(lambda: not runs.get(run_id).folder.trainer_alive())
+    assert eventually(lambda: not runs.get(run_id).pulse.is_alive)
 
 
 def test_a_run_is_starting_until_its_trainer_speaks(runs_folder: Path) -> None:

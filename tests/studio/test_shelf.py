@@ -305,7 +305,7 @@ def test_landmarks_tell_what_the_whole_log_tells(
     log.close()
     with folder.events.open("ab") as file:
         file.write(tail)
-    assert outcome_of(landmarks(folder.events)) == outcome_of(folder.read_events()[0])
+    assert outcome_of(landmarks(folder.path)) == outcome_of(folder.read_events()[0])
 
 
 def test_the_best_of_an_outcome_is_the_best_of_the_history(runs_folder: Path) -> None:

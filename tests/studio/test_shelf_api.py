@@ -47,7 +47,9 @@ def test_the_table_says_what_each_run_has_come_to(served: Served, ended: RunFold
     assert outcome["best"] == outcome["last"] == {
         "iteration": 3, "success": 0.5, "episode_return": 0.0, "phi": [2.7] * 5,
     }  # fmt: skip
-    assert row["marks"] == {"starred": False, "name": "", "note": "", "tags": [], "archived": False}
+    assert row["marks"] == {
+        "starred": False, "name": "", "note": "", "tags": [], "archived": False, "starred_designs": [],
+    }  # fmt: skip
 
 
 def test_a_table_that_has_not_changed_is_not_sent_again(served: Served, ended: RunFolder) -> None:
@@ -66,6 +68,7 @@ def test_marks_are_changed_one_by_one_and_shown_wherever_runs_are_listed(served:
     marks = served.client.patch(address, json={"note": "α = .3", "archived": True}).json()
     assert marks == {
         "starred": True, "name": "Long <b>links</b>", "note": "α = .3", "tags": ["to print"], "archived": True,
+        "starred_designs": [],
     }  # fmt: skip
     (listed,) = (line for line in served.client.get("/api/runs").json() if line["id"] == ended.id)
     row = row_of(served, ended.id)
@@ -147,13 +150,14 @@ def test_the_viewer_turns_to_the_design_that_was_clicked(served: Served, ended: 
     assert eventually(lambda: served.viewer.turned_to)
     assert served.viewer.turned_to == [(ended.id, 2)]
     served.client.post(f"/api/runs/{ended.id}/show")
+    assert eventually(lambda: served.viewer.turned_to == [(ended.id, 2), (ended.id, None)])
     assert "has no iteration 9" in refused(
         served.client.post(f"/api/runs/{ended.id}/show", params={"iteration": 9}), 404
     )
     assert "greater than or equal to 0" in refused(
         served.client.post(f"/api/runs/{ended.id}/show", params={"iteration": -1})
     )
-    assert served.viewer.turned_to == [(ended.id, 2)]
+    assert served.viewer.turned_to == [(ended.id, 2), (ended.id, None)]
 
 
 def test_no_more_runs_are_drawn_than_can_be_told_apart(served: Served) -> None:

@@ -389,8 +389,8 @@ def test_a_run_passes_from_one_launcher_to_the_other_once_it_is_cancelled(study:
 # --- the studio on a cluster ------------------------------------------------------------------------------------------
 
 
-def never(folder: RunFolder, *, further: int | None = None) -> subprocess.Popen[bytes]:
-    raise AssertionError(f"a trainer of {folder.id} was started on the login node, further {further}")
+def never(folder: RunFolder, **words: object) -> subprocess.Popen[bytes]:
+    raise AssertionError(f"a trainer of {folder.id} was started on the login node, {words}")
 
 
 @pytest.fixture

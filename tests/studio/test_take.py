@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from morph_core.catalogue import TASKS, make_task
 from morph_core.run_folder import RunFolder, write_episode
+from studio.cancellation import Cancellation, CancelledError
+from studio.viewer.ghosts import MOST_GHOSTS, Beside, Crowd, make_crowd
 from studio.viewer.legend import legend_of
 from studio.viewer.scene import is_flat
 from studio.viewer.take import GOAL_LIT, LIT_BY, Shot, Take, _from_their_end, _moving_contacts, make_take
@@ -118,25 +120,48 @@ def test_every_contact_of_a_step_is_marked_where_it_is(folder: RunFolder) -> Non
     assert not take.touched.any()
 
 
-def test_explored_designs_stand_thin_and_only_if_they_are_wanted(folder: RunFolder) -> None:
+def crowd_of(folder: RunFolder, episode: dict[str, np.ndarray], **wanted: object) -> Crowd:
+    write_episode(folder, 3, episode)
+    beside = Beside(tried_in=(folder, 3), **wanted)  # pyright: ignore[reportArgumentType]
+    return make_crowd("pen_press", "{}", beside, Cancellation())
+
+
+@pytest.mark.parametrize(("name", "array"), [("explored", "population"), ("generation", "generation")])
+def test_designs_that_were_tried_stand_thin_and_only_if_they_are_wanted(
+    folder: RunFolder, name: str, array: str
+) -> None:
     initial = make_task("pen_press").design_space.initial
-    population = initial + np.array([[0.0] * 8, [0.1] * 8, [np.nan] * 8])
-    episode = episode_of("pen_press", population=population)
-    assert take_of(folder, episode).population is None
-    shown = take_of(folder, episode, population=True)
-    assert shown.population is not None
-    assert len(shown.population) == 2 * len(shown.robot)  # the damaged one is left out
-    link = shown.robot.names.index("finger_1_distal")
-    assert shown.population.sizes[link, 0] < 0.5 * shown.robot.sizes[link, 0]
-    assert shown.population.sizes[link, 2] == pytest.approx(shown.robot.sizes[link, 2])
+    tried = initial + np.array([[0.0] * 8, [0.1] * 8, [np.nan] * 8])
+    episode = episode_of("pen_press", **{array: tried})
+    assert crowd_of(folder, episode) == Crowd()
+    assert crowd_of(folder, episode_of("pen_press"), **{name: True}) == Crowd()
+    robot = take_of(folder, episode).robot
+    shown = getattr(crowd_of(folder, episode, **{name: True}), name)
+    assert len(shown) == 2 * len(robot)  # the damaged one is left out
+    link = robot.names.index("finger_1_distal")
+    assert shown.sizes[link, 0] < 0.5 * robot.sizes[link, 0]
+    assert shown.sizes[link, 2] == pytest.approx(robot.sizes[link, 2])
+
+
+def test_no_more_than_sixty_four_designs_stand_beside_one_and_none_once_nobody_waits(folder: RunFolder) -> None:
+    initial = make_task("pen_press").design_space.initial
+    episode = episode_of("pen_press", population=initial + 1e-3 * np.arange(70)[:, None])
+    shown = crowd_of(folder, episode, explored=True).explored
+    assert shown is not None
+    assert len(shown) == MOST_GHOSTS * len(take_of(folder, episode).robot)
+    cancelled = Cancellation()
+    cancelled.cancel()
+    with pytest.raises(CancelledError):
+        make_crowd("pen_press", "{}", Beside(tried_in=(folder, 3), explored=True), cancelled)
 
 
 def test_ghosts_are_of_the_robot_alone(folder: RunFolder) -> None:
     initial = tuple(make_task("pen_press").design_space.initial.tolist())
-    take = take_of(folder, episode_of("pen_press"), ghost=initial, trail=(initial, initial))
+    take = take_of(folder, episode_of("pen_press"), ghost=initial)
+    crowd = crowd_of(folder, episode_of("pen_press"), trail=(initial, initial))
     assert take.ghost is not None
-    assert take.trail is not None
-    assert set(take.ghost.names) == set(take.trail.names) == set(take.robot.names)
+    assert crowd.trail is not None
+    assert set(take.ghost.names) == set(crowd.trail.names) == set(take.robot.names)
 
 
 def test_a_carried_object_turns_the_short_way_and_at_an_even_pace(folder: RunFolder) -> None:

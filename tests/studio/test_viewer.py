@@ -37,9 +37,7 @@ from morph_core.protocol import (
 )
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, write_episode
 from studio.new_run import StartRun, prepare_run
-from studio.viewer.charts import MOST_POINTS, decimate
 from studio.viewer.take import Shot, make_take
-from studio.viewer.viewer import NEW_RUN
 
 
 @pytest.fixture
@@ -189,9 +187,12 @@ def test_charts_are_never_given_empty_arrays_and_wait_for_their_first_value(page
             assert len(chart.data[0]) >= 2
     assert "Success on Hw-Phy" not in page.viewer.traces.charts
     links = page.viewer.traces.charts["Design φ"]
-    assert eventually(lambda: page.show(folder) and links.data[1].tolist() == [3, 2, 2, 2])  # charts rest in between
+    assert eventually(
+        lambda: page.show(folder) and links.data[1].tolist() == [3, 2, 2, 2, 2, 2, 2]
+    )  # charts rest between
     cosines = page.viewer.traces.charts["Agreement of g_task and g_hw"]
-    np.testing.assert_allclose(cosines.data, [[2, 3], [-0.5, 0.5], [0.75, 0.25]])
+    marked = [[2, 3, 3, 3, 3], [-0.5, *[0.5] * 4], [0.75, *[0.25] * 4], [-1, -1, 2, -1, -1]]
+    np.testing.assert_allclose(cosines.data, marked)
     assert "Agreement by design parameter" not in page.viewer.traces.charts  # not defined so far
     append(folder, progress(4, cosine_by_parameter=[-0.5, None, 0.5, 1.0, -1.0]), progress(5))
     assert eventually(lambda: page.show(folder) and "Agreement by design parameter" in page.viewer.traces.charts)
@@ -211,17 +212,6 @@ def test_charts_go_when_a_run_without_their_values_is_opened(page: Page, folder:
     page.show(folder)
     page.viewer.select(None)
     assert not any(chart.visible for chart in page.viewer.traces.charts.values())
-
-
-def test_long_runs_are_decimated_to_the_last_value_of_each_stretch() -> None:
-    x = np.arange(1.0, 5001.0)
-    sparse = np.where(x % 5 == 0, x, np.nan)
-    shown, dense, every_fifth = decimate((x, x * 2, sparse), MOST_POINTS)
-    assert len(shown) == MOST_POINTS
-    assert shown[-1] == 5000
-    np.testing.assert_array_equal(dense, 2 * shown)
-    assert np.nanmax(every_fifth) == 5000
-    assert np.isfinite(every_fifth).sum() == 1000
 
 
 def test_a_failed_run_says_why_in_html_that_harms_nobody(page: Page, folder: RunFolder) -> None:
@@ -251,27 +241,23 @@ def test_a_rollout_that_is_damaged_is_reported_and_the_next_design_is_shown(page
 # --- choosing ---
 
 
-def test_what_the_studio_suggests_is_opened_once_and_a_choice_then_stays(
-    page: Page, folder: RunFolder, wire: Callable[[viser.GuiInputHandle, object], None]
-) -> None:
+def test_what_the_studio_suggests_is_opened_once_and_a_choice_then_stays(page: Page, folder: RunFolder) -> None:
     page.show(folder)
     assert page.viewer.selected == NAME
-    wire(page.viewer.chooser, NEW_RUN)
-    assert eventually(lambda: page.viewer.selected is None)
+    page.viewer.open(None)
     page.show(folder)
     assert page.viewer.selected is None
     assert page.viewer.start.folder.visible
-    wire(page.viewer.chooser, f"finished · {NAME}")
-    assert eventually(lambda: page.viewer.selected == NAME)
-
-
-def test_an_unknown_run_from_the_wire_changes_nothing(
-    page: Page, folder: RunFolder, wire: Callable[[viser.GuiInputHandle, object], None]
-) -> None:
-    page.show(folder)
-    wire(page.viewer.chooser, "finished · ../../etc")
-    assert eventually(lambda: "unknown run" in page.viewer.notice.content)
+    page.viewer.open(NAME)
     assert page.viewer.selected == NAME
+
+
+def test_an_unknown_run_is_said_to_be_unknown(page: Page, folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    page.show(folder)
+    monkeypatch.setattr("studio.viewer.viewer._START_PATIENCE", -1.0)
+    page.viewer.open("../../<etc>")
+    assert "../../&lt;etc&gt; has not shown up" in page.viewer.run.failure.content
+    assert not page.viewer.run.pause.visible
 
 
 # --- steering ---
@@ -346,7 +332,7 @@ def test_step_stop_and_hotkeys_send_their_commands(page: Page, folder: RunFolder
     page.viewer.run.toggle(None)
     assert [command for _, command in page.commands] == [StepIteration(), Stop(), Pause()]
     hotkeys = {command.hotkey for command in page.server.gui._command_handle_from_uuid.values()}
-    assert {"P", "K", "F", "space"} <= hotkeys
+    assert {"P", "K", "L", "space"} <= hotkeys
 
 
 def test_steering_sends_only_what_was_changed(page: Page, folder: RunFolder) -> None:
@@ -538,7 +524,7 @@ def test_an_iteration_without_an_episode_stands_and_says_so(page: Page, episode:
     page.show(episode)
     page.viewer.timeline.follow.value = False
     page.viewer.timeline.iteration.value = 1
-    page.viewer.timeline.trail.value = True
+    page.viewer.looks.trail.value = True
     page.show(episode)
     take = page.take(lambda take: take.shot.phi == (2.9,) * 5)
     assert take.frames == 1
@@ -559,12 +545,12 @@ def test_playback_pauses_seeks_and_loops(
 ) -> None:
     page.show(episode)
     page.take(lambda take: take.frames == 13)
-    timeline, player = page.viewer.timeline, page.viewer.player
-    assert eventually(lambda: timeline.time.value > 0)  # it plays while somebody watches
-    wire(timeline.time, 0.19)  # not the 0.2 s of the first report: viser passes on changes only
+    playback, player = page.viewer.playback, page.viewer.player
+    assert eventually(lambda: playback.time.value > 0)  # it plays while somebody watches
+    wire(playback.time, 0.19)  # not the 0.2 s of the first report: viser passes on changes only
     assert eventually(lambda: not player.playing)
     assert eventually(lambda: player._robot._instant == 6)
-    assert timeline.play.label == "Play"
+    assert playback.play.label == "Play"
     assert player._contact.node_names == ["/contact/sphere"]
 
 
@@ -573,14 +559,14 @@ def test_values_from_the_wire_beyond_their_slider_are_refused(
 ) -> None:
     page.show(episode)
     page.take(lambda take: take.frames == 13)
-    timeline = page.viewer.timeline
-    wire(timeline.speed, 99.0)
+    timeline, playback = page.viewer.timeline, page.viewer.playback
+    wire(playback.speed, 99.0)
     assert eventually(lambda: "speed must lie inside [0.1, 4]" in page.viewer.notice.content)
-    assert timeline.speed.value == 1.0
+    assert playback.speed.value == 1.0
     wire(timeline.iteration, 4000)
     assert eventually(lambda: "there is no iteration 4000; choose 0 to 4" in page.viewer.notice.content)
     assert timeline.shown_iteration == 4
-    wire(timeline.time, math.nan)
+    wire(playback.time, math.nan)
     assert eventually(lambda: "time must lie inside" in page.viewer.notice.content)
     assert page.viewer.player.take is not None
     assert page.commands == []

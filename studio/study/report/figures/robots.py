@@ -49,7 +49,7 @@ def _final(results: Results, directory: Path, run: RunRow) -> Sketch | None:
     phi = tuple(row.final for row in results.designs if row.run == run.run)
     options = tuple(results.records[run.run].task_options.items())
     folder = RunFolder(directory / run.run)
-    recorded = max((int(p.stem) for p in folder.episodes.glob("*.npz") if p.stem.isdecimal()), default=None)
+    recorded = max(folder.episode_iterations(), default=None)
     played = _sketch(Shot(run.task, options, phi, (folder, recorded))) if recorded is not None else None
     return played or _sketch(Shot(run.task, options, phi))
 

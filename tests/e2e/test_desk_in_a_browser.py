@@ -1,0 +1,135 @@
+"""A browser has a view of its own, is worked by keys, and comes back to where it was."""
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+from served import Server
+from test_studio import viewer_of
+
+from tests.studies import Made, write_study
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
+
+OLD, NEW = "reacher-direct-s0", "reacher-direct-s1"
+
+
+@pytest.fixture
+def runs(server: Server) -> Path:
+    """Fill the folder of the server with two runs of ten iterations."""
+    write_study(server.runs, [Made("direct", "direct")], [0, 1], iterations=10)
+    return server.runs
+
+
+@pytest.fixture
+def other(page: Page) -> Iterator[Page]:
+    """Yield a page of another browser, which the server lets in as well."""
+    browser = page.context.browser
+    assert browser is not None
+    context = browser.new_context(viewport={"width": 1000, "height": 700})
+    yield context.new_page()
+    context.close()
+
+
+def open_page(page: Page, address: str) -> None:
+    page.goto(address)
+    expect(page.locator("#loading")).to_be_hidden(timeout=60_000)
+
+
+def choose(page: Page, run: str) -> None:
+    """Choose a run in the bar, and wait until it is shown."""
+    page.locator("#chooser").select_option(run)
+    shows(page, run)
+
+
+def shows(page: Page, run: str, iteration: int | None = None) -> None:
+    """Wait until a page's address names the run and iteration that its viewer shows."""
+    end = "" if iteration is None else f"&iteration={iteration}"
+    page.wait_for_url(re.compile(rf"/\?run={run}{end}$"), timeout=30_000)
+
+
+@pytest.mark.usefixtures("runs")
+def test_one_person_does_not_see_what_another_one_chooses(server: Server, page: Page, other: Page) -> None:
+    open_page(page, server.url)
+    choose(page, NEW)
+    other.context.add_cookies(page.context.cookies())  # pyright: ignore[reportArgumentType]
+    open_page(other, f"http://127.0.0.1:{server.port}/")
+    choose(other, NEW)
+    choose(page, OLD)
+    page.keyboard.press("ArrowLeft")
+    shows(page, OLD, 9)
+    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached(timeout=20_000)
+    shows(other, NEW)
+    expect(other.locator("#chooser")).to_have_value(NEW)
+    page.reload()
+    shows(page, OLD, 9)
+    expect(page.locator("#chooser")).to_have_value(OLD, timeout=20_000)
+
+
+@pytest.mark.usefixtures("runs")
+def test_keys_scrub_follow_help_and_begin(server: Server, page: Page) -> None:
+    open_page(page, server.url)
+    choose(page, NEW)
+    for iteration in (9, 8):
+        page.keyboard.press("ArrowLeft")
+        shows(page, NEW, iteration)
+    page.keyboard.press("ArrowRight")
+    shows(page, NEW, 9)
+    page.keyboard.press("l")
+    shows(page, NEW)
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_hidden()
+    page.keyboard.press("n")
+    expect(viewer_of(page).get_by_role("button", name="Start", exact=True)).to_be_visible(timeout=20_000)
+
+
+@pytest.mark.usefixtures("runs")
+def test_a_page_comes_back_to_its_place_when_the_server_does(server: Server, page: Page) -> None:
+    open_page(page, server.url)
+    choose(page, OLD)
+    page.keyboard.press("ArrowLeft")
+    shows(page, OLD, 9)
+    server.kill()
+    banner = page.locator("#banner")
+    expect(banner).to_contain_text("does not answer", timeout=15_000)
+    server.start()
+    expect(banner).to_be_hidden(timeout=30_000)
+    expect(page.locator("#loading")).to_be_hidden(timeout=60_000)
+    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached(timeout=30_000)
+    shows(page, OLD, 9)
+
+
+def test_a_run_deleted_elsewhere_is_said_and_comes_back(server: Server, runs: Path, page: Page, tmp_path: Path) -> None:
+    open_page(page, server.url)
+    choose(page, NEW)
+    page.keyboard.press("ArrowLeft")
+    shows(page, NEW, 9)
+    shutil.move(runs / NEW, tmp_path / "elsewhere")
+    banner = page.locator("#banner")
+    expect(banner).to_contain_text(f"{NEW} is no longer in the folder of runs", timeout=15_000)
+    expect(viewer_of(page).get_by_text("deleted or moved").first).to_be_attached(timeout=20_000)
+    shutil.move(tmp_path / "elsewhere", runs / NEW)
+    expect(banner).to_be_hidden(timeout=15_000)
+    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached(timeout=20_000)
+    shows(page, NEW, 9)
+
+
+@pytest.mark.usefixtures("runs")
+def test_the_tour_is_dismissed_for_good(server: Server, other: Page, page: Page) -> None:
+    page.goto(server.url)
+    other.context.add_cookies(page.context.cookies())  # pyright: ignore[reportArgumentType]
+    open_page(other, f"http://127.0.0.1:{server.port}/")
+    tour = other.get_by_role("dialog", name="Start a run")
+    expect(tour).to_be_visible(timeout=20_000)
+    other.get_by_role("button", name="Next").click()
+    expect(other.get_by_role("dialog", name="Watch it learn")).to_be_visible()
+    other.get_by_role("button", name="Dismiss").click()
+    expect(other.locator("#tour")).to_be_hidden()
+    other.reload()
+    expect(other.locator("#loading")).to_be_hidden(timeout=60_000)
+    expect(other.locator("#tour")).to_be_hidden()

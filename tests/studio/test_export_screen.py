@@ -1,0 +1,229 @@
+"""A stranger's bundle reads nothing outside of itself, takes no more than it may, and agrees where it is the same."""
+
+import contextlib
+import io
+import json
+import os
+import time
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from morph_core.catalogue import make_task
+from studio.export.apart import prove_apart
+from studio.export.archive import read_files, unzipped, zipped
+from studio.export.bundle import robot_files
+from studio.export.check import Check
+from studio.export.design_file import Design, Value, read_design
+from studio.export.errors import ExportError
+from studio.export.proof import prove
+from studio.export.screen import screen
+from studio.robots.chooser import robot_of
+
+TASK = make_task("reacher")
+ROBOT = robot_of(TASK).file_name
+XML = f"{ROBOT}.xml"
+
+
+def design_json(robot: str = ROBOT) -> bytes:
+    parameters = [
+        Value(name=p.name, value=p.initial, unit=p.unit, lo=p.lo, hi=p.hi, locked_at=None, hard_lo=p.hard_lo,
+              hard_hi=p.hard_hi, initial=p.initial)
+        for p in TASK.design_space.parameters
+    ]  # fmt: skip
+    return msgspec.json.encode(
+        Design(task="reacher", task_options={}, robot=robot, run="", design="", iteration=0, parameters=parameters)
+    )
+
+
+@pytest.fixture(scope="module")
+def bundle() -> dict[str, bytes]:
+    """The files of a reacher, and its design; there are no digests, which prove nothing of a stranger's bundle."""
+    phi = np.array([p.initial for p in TASK.design_space.parameters])
+    program = robot_of(TASK).program(phi)
+    assert program is not None
+    files = robot_files(TASK, phi, [], ("mjcf", "urdf"))
+    return files | {"design.json": design_json(), "run_policy.py": program.source}
+
+
+def faults(files: Mapping[str, bytes]) -> list[str]:
+    return [str(check) for check in prove(files, episodes=0) if not check.passed and "digests" not in check.name]
+
+
+def test_an_honest_bundle_agrees(bundle: dict[str, bytes]) -> None:
+    assert faults(bundle) == []
+
+
+def inserted(text: str, where: str = "</mujoco>") -> Callable[[bytes], bytes]:
+    return lambda content: content.replace(where.encode(), text.encode() + where.encode(), 1)
+
+
+OUTSIDE = ["/etc/passwd", "../../x", "a/../../x", "~/x", "C:/x", "..\\x", "file:///etc/passwd", "\\\\host\\x"]
+REPLICATE = '<replicate count="10000" offset="1 0 0">' * 2 + '<geom size=".1"/>' + "</replicate>" * 2
+ASKS = {
+    **{f"include {p}": (XML, inserted(f'<include file="{p}"/>')) for p in OUTSIDE},
+    **{f"mesh {p}": (XML, inserted(f'<asset><mesh name="x" file="{p}"/></asset>')) for p in OUTSIDE},
+    "meshdir": (XML, inserted('<compiler meshdir="/etc"/>')),
+    "a file that is not there": (XML, inserted('<asset><mesh name="x" file="x.stl"/></asset>')),
+    "replicate": (XML, inserted(REPLICATE, "</worldbody>")),
+    "replicate in the scene": ("scene.xml", inserted(REPLICATE, "</worldbody>")),
+    "hfield": (XML, inserted('<asset><hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/></asset>')),
+    "texture": (XML, inserted('<asset><texture builtin="flat" width="99999" height="99999"/></asset>')),
+    "plugin": (XML, inserted('<extension><plugin plugin="mujoco.sdf.bolt"/></extension>')),
+    "flexcomp": (XML, inserted('<flexcomp count="999 999 99" name="f" type="grid"/>', "</worldbody>")),
+    "nan": (XML, inserted('<option timestep="nan"/>')),
+    "infinity": (XML, inserted('<option gravity="0 0 1e999"/>')),
+    "entities": (XML, lambda content: b'<!DOCTYPE x [<!ENTITY a "b">]>' + content),
+    "utf-16": (XML, lambda content: content.decode().encode("utf-16")),
+    "no xml": (XML, lambda content: content[: len(content) // 2]),
+    "in the archive": (
+        f"{ROBOT}.mjz",
+        lambda content: zipped(
+            (files := unzipped(content)) | {"model.xml": inserted('<include file="/etc/x.xml"/>')(files["model.xml"])}
+        ),
+    ),
+    "a bomb in the archive": (f"{ROBOT}.mjz", lambda _: zipped({"model.xml": bytes(300 << 20)})),
+    "urdf mesh": (
+        f"{ROBOT}.urdf",
+        inserted('<link name="x"><visual><geometry><mesh filename="/x.stl"/></geometry></visual></link>', "</robot>"),
+    ),
+}
+
+
+@pytest.mark.parametrize("ask", ASKS)
+def test_no_reader_sees_what_asks_for_more_than_a_bundle_needs(
+    bundle: dict[str, bytes], ask: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, change = ASKS[ask]
+    changed = change(bundle[path])
+    assert changed != bundle[path]
+
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("a reader has seen it")
+
+    for reader in ("verify", "compare_physics", "_prove_physics"):
+        monkeypatch.setattr(f"studio.export.proof.{reader}", never)
+    found = faults(bundle | {path: changed})
+    assert found
+    assert all("asks for nothing outside" in fault for fault in found), found
+
+
+DIFFERS = {
+    "gravity and timestep": (XML, inserted('<option gravity="0 0 99" timestep="0.5"/>'), "physics options"),
+    "flags of the scene": ("scene.xml", inserted('<option><flag contact="disable"/></option>'), "physics options"),
+    "one more body": (XML, inserted('<body name="b"><geom size=".1"/></body>', "</worldbody>"), "physics"),
+    "one more shape": (XML, inserted('<geom size=".1" pos="9 9 9"/>', "</worldbody>"), "physics"),
+    "one more link": (
+        f"{ROBOT}.urdf",
+        inserted(
+            '<link name="added"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+            '</inertial></link><joint name="j" type="revolute"><parent link="link_1"/><child link="added"/>'
+            '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>',
+            "</robot>",
+        ),
+        "nothing added",
+    ),
+    "another program": ("run_policy.py", lambda content: content + b"\nimport os\n", "run_policy.py"),
+    "a file more": ("run.sh", lambda _: b"#!/bin/sh\n", "belongs to an export"),
+    "another robot's name": ("design.json", lambda _: design_json("../../../tmp/x"), "design.json: robot"),
+    "an absolute name": ("design.json", lambda _: design_json("/tmp/x"), "design.json: robot"),
+}
+
+
+@pytest.mark.parametrize("what", DIFFERS)
+def test_what_is_in_a_file_and_not_in_the_design_is_found(bundle: dict[str, bytes], what: str) -> None:
+    path, change, finding = DIFFERS[what]
+    found = faults(bundle | {path: change(bundle.get(path, b""))})
+    assert any(finding in fault for fault in found), found
+
+
+def test_a_reader_that_takes_too_long_is_ended(bundle: dict[str, bytes]) -> None:
+    began = time.monotonic()
+    [check] = prove_apart(bundle, episodes=0, seconds=1)
+    assert "given up" in check.detail
+    assert not check.passed
+    assert time.monotonic() - began < 60
+
+
+def test_a_bundle_proved_apart_says_what_it_says_here(bundle: dict[str, bytes]) -> None:
+    def told(checks: list[Check]) -> dict[str, tuple[bool, str]]:
+        return {check.name: (check.passed, check.detail) for check in checks}
+
+    assert told(prove_apart(bundle, episodes=0)) == told(prove(bundle, episodes=0))
+
+
+# --- archives ---
+
+DESIGN_ZIP = zipped({"design.json": design_json(), "robot.xml": b"<mujoco/>" * 50})
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.data())
+def test_any_mutated_archive_is_read_or_refused_with_our_error(data: st.DataObject) -> None:
+    content = bytearray(DESIGN_ZIP)
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        piece = data.draw(st.sampled_from([b"\xff" * 8, b"\x00" * 8, b"PK\x03\x04", bytes([at % 256])]))
+        content[at : at + len(piece)] = piece
+    for read in (read_design, unzipped):
+        with contextlib.suppress(ExportError):
+            read(bytes(content))
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_broken_stream_is_refused_whatever_packed_it(method: int) -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        archive.writestr("design.json", json.dumps(list(range(2000))))
+    content = bytearray(buffer.getvalue())
+    content[60:68] = b"\xff" * 8
+    with pytest.raises(ExportError, match="no zip that can be read"):
+        unzipped(bytes(content))
+
+
+@pytest.mark.parametrize("names", [("robot.xml", "robot.xml/x"), ("a/b", "a"), ("a", "a"), ("x\0y", "z")])
+def test_files_that_can_not_lie_beside_one_another_are_refused(names: tuple[str, str]) -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("warnings.warn", lambda *_, **__: None)
+        for name in names:
+            archive.writestr(name, b"")
+    content = buffer.getvalue()
+    if "\0" in names[0]:  # zipfile cuts such a name itself
+        assert set(unzipped(content)) == {"x", "z"}
+        return
+    with pytest.raises(ExportError, match="twice, or as a file and as a folder"):
+        unzipped(content)
+
+
+def test_only_the_design_of_a_bundle_is_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:
+    content = zipped({"design.json": design_json(), "zeros": bytes(200 << 20)})
+    read: list[int] = []
+    decompress = zlib.decompressobj
+
+    def counted(*words: int) -> object:
+        read.append(1)
+        return decompress(*words)
+
+    monkeypatch.setattr("zipfile.zlib.decompressobj", counted)
+    assert read_design(content).task == "reacher"
+    assert len(read) == 1
+    with pytest.raises(ExportError, match="at most"):
+        read_design(zipped({"design.json": bytes(5 << 20)}))
+
+
+def test_a_bundle_that_is_no_plain_file_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ExportError, match="no file and no folder"):
+        read_files(tmp_path / "pipe")
+
+
+def test_screening_says_nothing_of_what_readers_are_for() -> None:
+    assert all(check.passed for check in screen({"parts/x.stl": b"rubbish", "README.txt": b""}, ROBOT))
