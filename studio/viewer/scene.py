@@ -138,6 +138,7 @@ class Arrows:
         self._host = host
         self._name = f"/{name}/arrows"
         self._colour = colour
+        self._radius = 0.0
         self._handle: viser.ArrowsHandle | None = None
         self._shown = np.zeros((0, 2, 3), np.float32)
 
@@ -147,7 +148,8 @@ class Arrows:
         if np.array_equal(arrows, self._shown):
             return
         self._shown = arrows
-        if self._handle is None:
+        if self._handle is None or radius != self._radius:
+            self._radius = radius
             self._handle = self._host.scene.add_arrows(
                 self._name, arrows, self._colour,
                 shaft_radius=radius, head_radius=2.5 * radius, head_length=5 * radius,
@@ -155,8 +157,6 @@ class Arrows:
         self._handle.visible = bool(len(arrows))
         if len(arrows):
             self._handle.points = arrows
-            self._handle.shaft_radius = radius
-            self._handle.head_radius, self._handle.head_length = 2.5 * radius, 5 * radius
 
 
 class Letters:

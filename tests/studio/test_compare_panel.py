@@ -9,6 +9,7 @@ import pytest
 from conftest import NAME, Page, eventually, make_hand_run, make_run
 
 from morph_core.history import History
+from morph_core.protocol import Status
 from studio.compare import compare
 from studio.viewer.comparison import comparison_table
 from studio.viewer.take import Take
@@ -127,7 +128,8 @@ def test_other_options_stand_beside_each_other(page: Page, tmp_path: Path) -> No
     (other.path / "run.json").write_text(record.replace('"task_options": {}', '"task_options": {"tunnel": "paper"}'))
     histories = {folder.id: History(folder) for folder in (first, other)}
     assert histories[OTHER].record.task_options == {"tunnel": "paper"}
-    page.viewer.show(histories, {name: ("finished", "") for name in histories}, NAME)
+    statuses: dict[str, tuple[Status, str]] = {name: ("finished", "") for name in histories}
+    page.viewer.show(histories, statuses, NAME)
     panel = page.viewer.compare
     panel.view.value, panel.run.value = "overlaid", OTHER
     panel._choose_run(None)
