@@ -339,7 +339,7 @@ def test_mujoco_of_the_last_two_years_reads_the_files_and_moves_them_alike(tmp_p
             continue
         off = np.abs(ends(place) - now)
         pen = np.arange(len(off)) >= 40 * 14  # the mouse is first: 40 control steps of 11 joints and 3 coordinates
-        assert off[pen].max() < 1e-6
+        assert off[pen].max() < 2e-4  # m, rad
         assert off[~pen].max() < 0.15  # rad: convex meshes touch elsewhere since 4.0
         asked += 1
     if not asked:
