@@ -205,8 +205,11 @@ MUTANTS: tuple[Mutant, ...] = (
         ("(len(values) - 1)", "len(values)"),
     ),
     *_of(
-        f"{CORE}/evaluate.py", "core/test_evaluate.py",
+        f"{CORE}/episodes.py", "core/test_evaluate.py",
         ("(term * rollout.alive).sum(0)", "term.sum(0)"),
+    ),
+    *_of(
+        f"{CORE}/evaluate.py", "core/test_evaluate.py",
         (".whole.check(other_phi)", ".check(other_phi) * 0"),
     ),
     *_of(
