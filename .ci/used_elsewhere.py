@@ -96,3 +96,6 @@ _.memo
 # The command line reads them in the JSON that a replay prints.
 _.recorded_on
 _.replayed_on
+
+# The page reads it in the JSON that tells what its viewer shows.
+_.connected

@@ -204,10 +204,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "studio/test_what_if.py::test_the_interval_of_a_mean_is_as_wide_as_its_standard_error_says",
         ("(len(values) - 1)", "len(values)"),
     ),
-    *_of(
-        f"{CORE}/episodes.py", "core/test_evaluate.py",
-        ("(term * rollout.alive).sum(0)", "term.sum(0)"),
-    ),
+    *_of(f"{CORE}/episodes.py", "core/test_evaluate.py", ("(term * rollout.alive).sum(0)", "term.sum(0)")),
     *_of(
         f"{CORE}/evaluate.py", "core/test_evaluate.py",
         (".whole.check(other_phi)", ".check(other_phi) * 0"),

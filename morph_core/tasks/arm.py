@@ -28,9 +28,10 @@ class Arm:
         spec = mujoco.MjSpec()
         spec.modelname = name
         body = spec.worldbody
-        body.add_geom(
+        foot = body.add_geom(
             name="base", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[2 * LINK_RADIUS, LINK_RADIUS, 0], rgba=palette.BASE
         )
+        foot.contype = foot.conaffinity = 0  # the first link turns inside it, which no engine takes for neighbours
         for i, length in enumerate(phi):
             body = body.add_body(name=f"link_{i + 1}", pos=[phi[i - 1] if i else 0.0, 0.0, 0.0])
             body.add_joint(

@@ -33,7 +33,9 @@ from studio.export.design_file import phi_for, read_design, starting_from
 from studio.new_run import StartRun
 from studio.runs import Runs
 
-Formats = Annotated[list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step; repeated or with commas")]
+Formats = Annotated[
+    list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step, ros, ros2_control; repeated or with commas")
+]
 OtherPhi = Annotated[list[float] | None, Query(description="All values of another design in its place; repeated")]
 WhichEpisode = Annotated[
     Which | None,

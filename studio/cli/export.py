@@ -24,8 +24,11 @@ class ExportArguments(RunsArguments):
     """Design to export: the best evaluated one, the latest one, or that of an iteration (0 is the initial one)."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="PATH.zip|DIR")] = None
     """Zip or folder to write; without it, a zip among the exports of the run."""
-    formats: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="mjcf|urdf|stl|3mf|glb|step")] = None
-    """Formats to write; without it, all but step, which needs build123d."""
+    formats: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="mjcf|urdf|stl|3mf|glb|step|ros|ros2_control")] = (
+        None
+    )
+    """Formats to write; without it, all but step, which needs build123d, ros, a ROS 2 package, and ros2_control, which
+    adds servos to the URDF."""
 
 
 def main(words: Sequence[str]) -> int:

@@ -23,20 +23,22 @@ from studio.export.control import control_settings
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
 from studio.export.meshes import glb, start_posture, three_mf
-from studio.export.mjcf import write_mjcf
+from studio.export.mjcf import oldest_reader, write_mjcf
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
 from studio.export.provenance import provenance_of
 from studio.export.report import bill_of_materials, report
+from studio.export.ros import package_name, ros_package
 from studio.export.step import step_files
 from studio.export.urdf import write_urdf
+from studio.export.zero import hold_keyframes, moved_zero, servo_targets
 from studio.robots.chooser import robot_of
 from studio.robots.parts import MILLIMETRE, Part, body_of, colours_of, dress, stl_files
 from studio.robots.robot import Program, Robot
 
 FORMATS = ("mjcf", "urdf", "stl", "3mf", "glb")
-OPTIONAL_FORMATS = ("step",)
-"""Formats that are written only where they are asked for: STEP needs build123d and takes long."""
+OPTIONAL_FORMATS = ("step", "ros", "ros2_control")
+"""Formats that are written only where they are asked for: STEP needs build123d and takes long, the rest is for ROS."""
 ALL_FORMATS = (*FORMATS, *OPTIONAL_FORMATS)
 MESH_FORMATS = ("stl", "3mf", "glb", "step")
 """Formats that are made of parts."""
@@ -111,8 +113,8 @@ def _build(
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     files[FILE] = _json(msgspec.to_builtins(design))
-    files |= _papers(task, design, phi, parts, program, scores, recorded, formats)
-    provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores)
+    files |= _papers(task, design, phi, parts, program, scores, recorded, formats, _oldest(files))
+    provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores, _oldest(files))
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
     return files, checks
 
@@ -127,24 +129,34 @@ def parts_of_design(robot: Robot, phi: np.ndarray) -> list[Part]:
 
 def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
     """Return the robot in every format; where its parts are printed, it shows the files that are printed."""
-    spec, scene, robot = task.spec(phi), task.scene(phi), robot_of(task)
+    robot = robot_of(task)
+    spec, scene = task.spec(phi), task.scene(phi)
+    _add_start(task, scene, phi)
+    hold_keyframes(spec)
+    hold_keyframes(scene)
+    zero = robot.zero(phi)
+    spec, scene = moved_zero(spec, zero), moved_zero(scene, zero)
     model, name = spec.compile(), robot.file_name
     worn = parts if robot.printed else []
     shown = stl_files(worn)
     files: dict[str, bytes] = {}
     if "stl" in formats:
         files |= stl_files(parts)
-    if {"mjcf", "urdf"} & set(formats):
+    if {"mjcf", "urdf", "ros"} & set(formats):
         files |= shown
     if "mjcf" in formats:
-        _add_start(task, scene, phi)
         plain = write_mjcf(dress(spec, worn, shown), f"{name}.xml", "meshes", shown)
         files |= plain | write_mjcf(dress(scene, worn, shown), "scene.xml", "meshes_scene", shown)
         files[f"{name}.mjz"] = zipped({"model.xml": plain.pop(f"{name}.xml"), **plain, **shown})
-    if "urdf" in formats:
+    if {"urdf", "ros"} & set(formats):
         visuals = {link: part.stl_path for part in worn for link in part.links}
-        files |= write_urdf(model, f"{name}.urdf", task.name, visuals)
-        files["control.json"] = _json(control_settings(model, task.scene(phi).compile()))
+        drives = "ros2_control" in formats
+        urdf = write_urdf(model, f"{name}.urdf", task.name, visuals, robot.speeds, drives=drives)
+        if "ros" in formats:
+            size = float(model.stat.extent)
+            files |= ros_package(task.name, name, urdf[f"{name}.urdf"], {**shown, **urdf}, size)
+        files |= urdf if "urdf" in formats else {}
+        files["control.json"] = _json(control_settings(model, scene.compile(), zero))
     if "3mf" in formats:
         files |= {f"3mf/{part.name}.3mf": three_mf(part) for part in parts}
     if "glb" in formats:
@@ -155,11 +167,11 @@ def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Seq
 
 
 def _add_start(task: Task, scene: mujoco.MjSpec, phi: np.ndarray) -> None:
-    """Give the scene a keyframe: a start of the task."""
+    """Give the scene a keyframe: a start of the task, which its servos hold."""
     if any(key.name == "start" for key in scene.keys):
         return
-    state = task.reset(task.hw_phy(phi), 1, np.random.default_rng(0))
-    scene.add_key(name="start", qpos=task.qpos(state)[0])
+    qpos = task.qpos(task.reset(task.hw_phy(phi), 1, np.random.default_rng(0)))[0]
+    scene.add_key(name="start", qpos=qpos, ctrl=servo_targets(scene.compile(), qpos))
 
 
 def _papers(
@@ -171,11 +183,12 @@ def _papers(
     scores: Sequence[Score],
     recorded: Evaluation | None,
     formats: Sequence[str],
+    oldest: str,
 ) -> dict[str, bytes]:
     """Return what is written for people."""
     robot = robot_of(task)
     papers = {
-        "README.txt": _readme(robot, formats, program).encode(),
+        "README.txt": _readme(task, robot, formats, program, oldest).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
     image = None
@@ -196,15 +209,26 @@ def _papers(
     return papers
 
 
-def _readme(robot: Robot, formats: Sequence[str], program: Program | None) -> str:
-    name = robot.file_name
+def _oldest(files: Mapping[str, bytes]) -> str:
+    """Return the oldest MuJoCo that reads the MJCF files of a bundle; "" without any."""
+    texts = [content for path, content in files.items() if path.endswith(".xml") and "/" not in path]
+    return oldest_reader(texts) if texts else ""
+
+
+def _readme(task: Task, robot: Robot, formats: Sequence[str], program: Program | None, oldest: str) -> str:
+    name, package = robot.file_name, package_name(task.name)
     printed = "Print:   parts/*.stl (mm), one file for each part; BOM.csv says how many"
     shapes = "Shapes:  parts/*.stl (mm), the collision shapes of each link, which stand in for parts"
     lines = {
         "mjcf": f'MuJoCo:  mujoco.MjModel.from_xml_path("{name}.xml"), or scene.xml for the robot with its task;\n'
-        f"         python -m mujoco.viewer --mjcf=scene.xml, or drop {name}.mjz on live.mujoco.org",
+        f"         python -m mujoco.viewer --mjcf=scene.xml, or drop {name}.mjz on live.mujoco.org;\n"
+        f"         MuJoCo {oldest} and newer read the .xml files, 3.8 and newer the .mjz",
         "urdf": f'URDF:    yourdfpy.URDF.load("{name}.urdf"), or any other reader; effort or velocity 1e6 means\n'
-        "         that the task sets no limit; gains, armature and contact settings are in control.json",
+        "         that the task sets no limit; gains, armature, contact settings, and where a joint is in the\n"
+        "         task at zero, are in control.json",
+        "ros": f"ROS 2:   copy ros/{package} into the src folder of a workspace; colcon build;\n"
+        f"         ros2 launch {package} display.launch.py",
+        "ros2_control": "         each servo has a transmission and a ros2_control interface, of mock hardware as yet",
         "stl": printed if robot.printed else shapes,
         "3mf": "         3mf/*.3mf (mm), with as many copies as are needed",
         "glb": "Look:    assembly.glb (m)",
@@ -234,12 +258,15 @@ def bundle_name(history: History, which: str, *, by_hand: bool = False) -> str:
 
 def check_formats(formats: Sequence[str], task: Task) -> None:
     """Raise ExportError that lists the available formats unless all of `formats` are."""
-    allowed = (*default_formats(task), *(OPTIONAL_FORMATS if robot_of(task).has_parts else ()))
+    has_parts = robot_of(task).has_parts
+    allowed = (*default_formats(task), *(f for f in OPTIONAL_FORMATS if has_parts or f not in MESH_FORMATS))
     for name in formats:
         if name in MESH_FORMATS and name not in allowed:
             raise ExportError(f"{task.name} has no shapes for {name}; choose from: {', '.join(allowed)}")
         if name not in allowed:
             raise ExportError(f'unknown format "{name[:40]}"; choose from: {", ".join(allowed)}')
+    if "ros2_control" in formats and not {"urdf", "ros"} & set(formats):
+        raise ExportError("ros2_control is a part of a URDF: choose urdf or ros with it")
     if not formats:
         raise ExportError(f"no format given; choose from: {', '.join(allowed)}")
 

@@ -1,11 +1,19 @@
-"""A MuJoCo model as MJCF text with exact numbers, and the mesh files it refers to."""
+"""A MuJoCo model as MJCF text with exact numbers, in words that old versions read too, and the meshes it refers to."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path, PurePosixPath
+from xml.etree import ElementTree
 
 import mujoco
 
 from studio.export.errors import ExportError
+
+OLD = "3.2"
+"""The oldest MuJoCo whose words are known: the file below has those of 3.2.7, as its `mj_printSchema` gives them."""
+_WORDS = Path(__file__).parent / "shipped" / "mjcf_3_2.json"
+_BODIES = ("worldbody", "body", "frame", "replicate")
 
 
 def write_mjcf(
@@ -28,9 +36,65 @@ def write_mjcf(
     try:
         spec.assets = {**shared, **own}
         spec.compile()
-        return {name: spec.to_xml().encode(), **own}
+        return {name: in_old_words(spec.to_xml()), **own}
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
+
+
+def in_old_words(text: str) -> bytes:
+    """Return MJCF with position servos called so, and without sensors that MuJoCo 3.2 lacks, which move nothing."""
+    root = ElementTree.fromstring(text)
+    for actuator in root.findall("actuator/general"):
+        _name_servo(actuator)
+    for sensors in root.findall("sensor"):
+        for sensor in [*sensors]:
+            if f"sensor/{sensor.tag}" not in _old_words():
+                sensors.remove(sensor)
+        if not len(sensors):
+            root.remove(sensors)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="utf-8") + b"\n"
+
+
+def oldest_reader(texts: Iterable[bytes]) -> str:
+    """Return the oldest MuJoCo that knows every word of some MJCF files: 3.2, or the one that wrote them."""
+    new = any(new_words(ElementTree.fromstring(text)) for text in texts)
+    return mujoco.__version__ if new else OLD
+
+
+def new_words(root: ElementTree.Element) -> list[str]:
+    """Return the elements and attributes of MJCF that MuJoCo 3.2 does not know."""
+    known, new, todo = _old_words(), list[str](), [("", root)]
+    while todo:
+        parent, element = todo.pop()
+        word = f"{'body' if parent in _BODIES else parent}/{element.tag}"
+        if word not in known:
+            new.append(word)
+            continue
+        new += [f"{word} {name}" for name in element.attrib if name not in known[word]]
+        todo += [(element.tag, child) for child in element]
+    return new
+
+
+def _name_servo(actuator: ElementTree.Element) -> None:
+    """Turn the general form in which MuJoCo writes a position servo into the word for it."""
+    gain, bias = actuator.get("gainprm", "1").split(), [*actuator.get("biasprm", "0").split(), "0", "0"]
+    kp, kv = float(gain[0]), -float(bias[2])
+    plain = {"dyntype", "dynprm", "gaintype", "actdim"}.isdisjoint(actuator.keys())
+    servo = len(gain) == 1 and [float(x) for x in bias[:2]] == [0.0, -kp] and kv >= 0 and not any(map(float, bias[3:]))
+    if actuator.get("biastype") != "affine" or not servo or not plain or actuator.get("input", "pos") != "pos":
+        return
+    for name in ("input", "biastype", "gainprm", "biasprm"):
+        actuator.attrib.pop(name, None)
+    actuator.tag = "position"
+    actuator.attrib |= {"kp": gain[0], "kv": bias[2].removeprefix("-")}
+
+
+@cache
+def _old_words() -> dict[str, frozenset[str]]:
+    """Return the attributes of each element that MuJoCo 3.2 knows, by "parent/element"."""
+    words: dict[str, str] = json.loads(_WORDS.read_bytes())
+    return {word: frozenset(names.split()) for word, names in words.items()}
 
 
 def _mesh_file(spec: mujoco.MjSpec, file: str) -> bytes:

@@ -6,6 +6,7 @@ import math
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from xml.etree import ElementTree
 
 import msgspec
 import mujoco
@@ -14,14 +15,17 @@ from manifold3d import Error, Manifold, Mesh64
 
 from morph_core.catalogue import make_task
 from morph_core.task import Task
-from studio.export.check import Check, worst
+from studio.export.check import Check, relative, worst
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
 from studio.export.meshes import start_posture
 from studio.export.policy import Score, read_policy, score
 from studio.export.provenance import Provenance
 from studio.export.readings import collision_box, read_mjcf
 from studio.export.screen import screen
+from studio.export.stand import check_standing
+from studio.export.urdf import NO_LIMIT, urdf_names
 from studio.export.verify import verify
+from studio.export.zero import moved_zero
 from studio.robots.chooser import robot_of
 from studio.robots.geometry import moments
 from studio.robots.parts import BASE, MILLIMETRE, body_of
@@ -117,13 +121,43 @@ def prove_robot(
     files: Mapping[str, bytes], design: Design, task: Task, phi: np.ndarray, *, only_mujoco: bool = False
 ) -> list[Check]:
     """Compare MJCF, URDF and parts with the robot that phi (d,) makes."""
-    model, printed = task.spec(phi).compile(), robot_of(task).printed
-    checks = verify(files, model, robot=design.robot, only_mujoco=only_mujoco)
+    robot = robot_of(task)
+    model, printed = task.spec(phi).compile(), robot.printed
+    checks = verify(files, model, robot=design.robot, zero=robot.zero(phi), only_mujoco=only_mujoco)
+    if robot.printed:  # what a stranger's robot does without commands is not known
+        checks += _guarded("standing", lambda: _check_standing(files, design.robot, model))
+    if (urdf := f"{design.robot}.urdf") in files:
+        checks += _guarded(f"{urdf}: speeds", lambda: [_check_speeds(urdf, files[urdf], model, robot.speeds)])
     for part in design.parts:
         checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed))
     if "assembly.glb" in files:
         checks += _guarded("assembly.glb", lambda: _check_assembly(files["assembly.glb"], design, model, printed))
     return checks
+
+
+def _check_standing(files: Mapping[str, bytes], robot: str, model: mujoco.MjModel) -> list[Check]:
+    """Check that the robot of a `model` stands where each MJCF file begins."""
+    own = {model.body(b).name for b in range(1, model.nbody)}
+    checks: list[Check] = []
+    with tempfile.TemporaryDirectory() as folder:
+        unpack(files, Path(folder))
+        for file, bodies in ((f"{robot}.xml", own | {"world"}), ("scene.xml", own)):
+            if file in files:
+                checks += check_standing(file, mujoco.MjModel.from_xml_path(str(Path(folder) / file)), bodies)
+    return checks
+
+
+def _check_speeds(path: str, content: bytes, model: mujoco.MjModel, speeds: Mapping[str, float]) -> Check:
+    """Compare the velocity limits of a URDF with what the task asks of the joints."""
+    names = urdf_names(model).joints
+    expected = {names[j]: speeds.get(model.joint(j).name, NO_LIMIT) for j in range(model.njnt)}
+    found = {
+        joint.get("name", ""): float(limit.get("velocity", "nan"))
+        for joint in ElementTree.fromstring(content).findall("joint")
+        if (limit := joint.find("limit")) is not None
+    }
+    known = {name: speed for name, speed in expected.items() if name in found}  # a free base has no limit
+    return worst(f"{path}: speeds", SCENE_ALLOWED, relative(known, found))
 
 
 def prove_policy(
@@ -134,7 +168,7 @@ def prove_policy(
     try:
         with tempfile.TemporaryDirectory() as folder:
             unpack(files, Path(folder))
-            scene = mujoco.MjSpec.from_file(str(Path(folder) / "scene.xml"))
+            scene = _as_simulated(mujoco.MjSpec.from_file(str(Path(folder) / "scene.xml")), task, phi)
             reloaded = scene.compile()
             found = score(task, read_policy(files["policy.npz"]), task.hw_phy_from(scene, phi), episodes, "reloaded")
     except Exception as error:  # as with every other file
@@ -149,6 +183,20 @@ def prove_policy(
     if not promised:
         checks.append(Check(f"{name}: runs", 0.0, 0.0, f"{found.success:.1%} of {found.episodes} episodes"))
     return found, checks
+
+
+def _as_simulated(scene: mujoco.MjSpec, task: Task, phi: np.ndarray) -> mujoco.MjSpec:
+    """Return a scene that was read from its file with the zero of the task's joints, and the task's sensors."""
+    scene = moved_zero(scene, {name: -value for name, value in robot_of(task).zero(phi).items()})
+    known = {sensor.name for sensor in scene.sensors}
+    for sensor in task.scene(phi).sensors:
+        if sensor.name not in known:
+            copied = scene.add_sensor(
+                name=sensor.name, type=sensor.type, objtype=sensor.objtype, objname=sensor.objname,
+                reftype=sensor.reftype, refname=sensor.refname, intprm=sensor.intprm,
+            )  # fmt: skip
+            copied.dim = sensor.dim
+    return scene
 
 
 def _compare_scenes(simulated: mujoco.MjModel, reloaded: mujoco.MjModel) -> Check:

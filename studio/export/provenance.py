@@ -45,6 +45,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     """Digests of every other file, by path."""
     checks: list[str]
     """Comparisons of the exported files with the simulated robot, a line each."""
+    oldest_mujoco: str = ""
+    """Oldest MuJoCo that knows every word of the .xml files; empty without any."""
     policy: list[Score] = []
     """Scores of the policy on the exported files, and in training with the same design."""
     exported: str
@@ -52,7 +54,12 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def provenance_of(
-    history: History, iteration: int, files: Mapping[str, bytes], checks: list[str], policy: list[Score]
+    history: History,
+    iteration: int,
+    files: Mapping[str, bytes],
+    checks: list[str],
+    policy: list[Score],
+    oldest_mujoco: str,
 ) -> Provenance:
     """Return where the design of an iteration comes from, with a digest of each of `files`."""
     record = history.record
@@ -75,6 +82,7 @@ def provenance_of(
         commands_sha256=hashlib.sha256(msgspec.json.encode(commands)).hexdigest(),
         sha256={name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())},
         checks=checks,
+        oldest_mujoco=oldest_mujoco,
         policy=policy,
         exported=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     )

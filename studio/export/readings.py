@@ -1,14 +1,15 @@
 """One robot as different readers understand its files: MuJoCo, yourdfpy, pinocchio, pybullet."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from studio.export.urdf import NO_LIMIT, free_base, joint_effort, joint_limits, link_origin, urdf_names
+from studio.export.urdf import CARRIER_MASS, NO_LIMIT, free_base, joint_effort, joint_limits, link_origin, urdf_names
+from studio.export.zero import zero_of
 
 
 @dataclass(frozen=True)
@@ -31,21 +32,27 @@ class Reading:
     """
 
 
-def read_mjcf(model: mujoco.MjModel) -> Reading:
-    """Read a model under the names that its bodies and joints have in the URDF."""
+def read_mjcf(model: mujoco.MjModel, zero: Mapping[str, float] | None = None) -> Reading:
+    """Read a model under the names that its bodies and joints have in the URDF.
+
+    Joint values count from `zero`, values of the model's joints by name, or else from the nearest to 0 that is allowed.
+    """
     names = urdf_names(model)
     base = free_base(model)
-    return _read_mujoco(model, names.links, names.joints, names.sites, base or 0)
+    reading = _read_mujoco(model, names.links, names.joints, names.sites, base or 0, zero_of(model, zero or {}))
+    frames = [names.links[b] for b in range(model.nbody) if model.body_mass[b] <= 0 and (b or base is None)]
+    return replace(reading, masses=reading.masses | dict.fromkeys(frames, CARRIER_MASS))
 
 
 def read_urdf(model: mujoco.MjModel) -> Reading:
     """Read what MuJoCo made of a URDF."""
-    return _read_mujoco(
-        model, [model.body(i).name for i in range(model.nbody)], [model.joint(i).name for i in range(model.njnt)], [], 0
-    )
+    links, joints = [model.body(i).name for i in range(model.nbody)], [model.joint(i).name for i in range(model.njnt)]
+    return _read_mujoco(model, links, joints, [], 0, np.zeros(model.njnt))
 
 
-def _read_mujoco(model: mujoco.MjModel, links: list[str], joints: list[str], sites: list[str], base: int) -> Reading:
+def _read_mujoco(
+    model: mujoco.MjModel, links: list[str], joints: list[str], sites: list[str], base: int, zero: np.ndarray
+) -> Reading:
     data = mujoco.MjData(model)
     free = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
     moving = {joints[j]: j for j in range(model.njnt) if j not in free}
@@ -54,7 +61,7 @@ def _read_mujoco(model: mujoco.MjModel, links: list[str], joints: list[str], sit
 
     def poses(posture: Mapping[str, float]) -> dict[str, np.ndarray]:
         for name, j in moving.items():
-            data.qpos[model.jnt_qposadr[j]] = posture[name]
+            data.qpos[model.jnt_qposadr[j]] = posture[name] + zero[j]
         mujoco.mj_kinematics(model, data)
         origin = np.linalg.inv(_pose(data.xmat[base], data.xpos[base]))
         centres = data.xpos + np.einsum("bij,bj->bi", data.xmat.reshape(-1, 3, 3), offsets)
@@ -64,12 +71,10 @@ def _read_mujoco(model: mujoco.MjModel, links: list[str], joints: list[str], sit
     return Reading(
         masses={links[i]: float(model.body_mass[i]) for i in heavy},
         inertias={links[i]: _tensor(model.body_iquat[i], model.body_inertia[i]) for i in heavy},
-        limits={name: joint_limits(model, j) for name, j in moving.items()},
+        limits={name: joint_limits(model, j, float(zero[j])) for name, j in moving.items()},
         efforts={name: joint_effort(model, j) for name, j in moving.items()},
         dampings={name: float(model.dof_damping[model.jnt_dofadr[j]]) for name, j in moving.items()},
-        extents={
-            links[i]: box for i in range(1, model.nbody) if (box := collision_box(model, i, offsets[i])) is not None
-        },
+        extents={links[i]: box for i in range(model.nbody) if (box := collision_box(model, i, offsets[i])) is not None},
         poses=poses,
     )
 

@@ -9,6 +9,7 @@ from html import escape
 from morph_core.protocol import Evaluation
 from studio.export.design_file import Design
 from studio.export.policy import Score
+from studio.export.ros import package_name
 from studio.robots.parts import Part
 from studio.robots.robot import Program, Robot
 
@@ -59,6 +60,7 @@ def report(
         f"<td class=n>{p.lo:.4g} &hellip; {p.hi:.4g}<td>{'' if p.locked_at is None else 'locked'}"
         for p in design.parameters
     )
+    package = package_name(design.task)
     page = f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
@@ -74,9 +76,13 @@ def report(
 <p>MuJoCo: the robot alone, or with its task
 <pre>model = mujoco.MjModel.from_xml_path("{escape(design.robot)}.xml")
 model = mujoco.MjModel.from_xml_path("scene.xml")   # or drop {escape(design.robot)}.mjz on live.mujoco.org</pre>
-<p>ROS 2
-<pre>sed "s|filename=\\"|&amp;file://$PWD/|" {escape(design.robot)}.urdf &gt; ros.urdf   # meshes by whole addresses
-ros2 launch urdf_tutorial display.launch.py model:=$PWD/ros.urdf</pre>
+<p>ROS 2, from an export with <code>--formats ros</code>, in a workspace
+<pre>cp -r ros/{escape(package)} WORKSPACE/src/ &amp;&amp; cd WORKSPACE &amp;&amp; colcon build
+ros2 launch {escape(package)} display.launch.py</pre>
+<p>Gazebo
+<pre>gz sdf -p {escape(design.robot)}.urdf   # what it makes of it; ros_gz_sim's create -file spawns it</pre>
+<p>Drake
+<pre>pydrake.multibody.parsing.Parser(plant).AddModels("{escape(design.robot)}.urdf")</pre>
 <p>Isaac Sim / Isaac Lab
 <pre>./isaaclab.sh -p scripts/tools/convert_urdf.py {escape(design.robot)}.urdf {escape(design.robot)}.usd --fix-base
 # then set the servo gains and armatures of control.json on the joint drives</pre>

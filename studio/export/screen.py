@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 from studio.export.archive import MAX_BYTES, MAX_FILES
 from studio.export.check import Check
+from studio.export.ros import FOLDER
 
 _LOADS = frozenset(("include", "replicate", "composite", "flexcomp", "plugin", "extension", "attach", "model"))
 """Elements by which a file fetches other files, runs code or multiplies itself: no bundle has any."""
@@ -29,6 +30,7 @@ _BELONGS = (
     "design.json", "provenance.json", "README.txt", "LICENSE", "BOM.csv", "report.html", "control.json",
     "assembly.glb", "policy.npz", "run_policy.py", "scene.xml", "{robot}.xml", "{robot}.mjz", "{robot}.urdf",
     "parts/*.stl", "3mf/*.3mf", "step/*.step", "meshes/*", "meshes_scene/*", "meshes_urdf/*",
+    "ros/*_description/*",
 )  # fmt: skip
 """What an export consists of."""
 
@@ -89,15 +91,18 @@ def _faults_of_xml(content: bytes, path: str, files: Mapping[str, bytes]) -> Ite
         yield f"it has {len(elements):,} elements, and at most {MOST_ELEMENTS:,} are read"
         return
     folders = [e.get(kind, "") for e in elements for kind in ("meshdir", "texturedir", "assetdir") if e.get(kind)]
+    here = PurePosixPath(path).parent
+    package = f"package://{here.parent.name}/" if path.startswith(f"{FOLDER}/") else ""
     for element in elements:
         if element.tag in _LOADS:
             yield f"it holds <{element.tag}>"
-        for name, value in element.attrib.items():
+        for name, said in element.attrib.items():
+            packed = bool(package) and name == "filename" and said.startswith(package)
+            value, beside = (said.removeprefix(package), here.parent) if packed else (said, here)
             yield from _faults_of_attribute(f"{element.tag} {name}", name, value)
-            if name in ("file", "filename") and not _leads_outside(value):
-                beside = PurePosixPath(path).parent
-                if not any((beside / folder / value).as_posix() in files for folder in ["", *folders]):
-                    yield f'{element.tag} {name}="{value[:60]}" is not in the bundle'
+            known = ((beside / folder / value).as_posix() in files for folder in ["", *folders])
+            if name in ("file", "filename") and not _leads_outside(value) and not any(known):
+                yield f'{element.tag} {name}="{value[:60]}" is not in the bundle'
 
 
 def _faults_of_attribute(where: str, name: str, value: str) -> Iterator[str]:

@@ -1,5 +1,7 @@
-"""A compiled MuJoCo model as URDF: one link per body, its frame at the joint, every number written exactly.
+"""A compiled MuJoCo model as URDF for the strictest reader: one link per body, its frame at the joint, exact numbers.
 
+The root is an empty link `world` to which the base is fixed: Gazebo and Drake then hold the robot without being told,
+and KDL finds no mass in the root. No two links or joints share a name, and zero is allowed for every joint.
 URDF knows no capsule (here: a cylinder and two spheres), no body with several joints (here: a chain of links without
 size and of negligible mass), and no armature, servo gain or contact option (they are in the MJCF only).
 """
@@ -14,21 +16,26 @@ import mujoco
 import numpy as np
 
 from studio.export.errors import ExportError
-from studio.robots.parts import free_name, link_names
+from studio.export.zero import held, nearest_zero
+from studio.robots.parts import BASE, free_name, link_names
 from studio.robots.stl import stl
 
 NO_LIMIT = 1e6
 """The number that stands in for a limit which the task does not set, where URDF demands one (N, N m, m/s, rad/s, m)."""
-CARRIER_MASS = 1e-12
-"""Mass (kg) and inertia (kg m^2) of links that are only a frame: without mass, readers refuse a moving link or make it
-a kilogram."""
+FRAME_MASS = 1e-12
+"""Mass (kg) and inertia (kg m^2) of links that are only a frame: without any, readers make it a kilogram."""
+CARRIER_MASS = 2e-6
+"""Mass (kg) of such a link where it carries others: with less than 1e-6, Gazebo drops it with all that it carries."""
 MESHES = "meshes_urdf"
+WORLD = "world"
+"""Name of the root link of a robot that stands fixed, which readers know."""
+_UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class Names:
-    """What the links and joints of a model are called in its URDF: unique, never empty."""
+    """What the links and joints of a model are called in its URDF: unique over all of them, never empty."""
 
     links: list[str]
     """Names of the links, one per body; the first is the base."""
@@ -39,11 +46,20 @@ class Names:
 
 def urdf_names(model: mujoco.MjModel) -> Names:
     """Return the names of links, joints and sites; what has none in the model is numbered from 1."""
-    links, taken_joints = link_names(model), set[str]()
-    taken_links = set(links)
-    joints = [_unique(model.joint(i).name or f"joint_{i + 1}", taken_joints) for i in range(model.njnt)]
-    sites = [_unique(model.site(i).name or f"site_{i + 1}", taken_links) for i in range(model.nsite)]
+    links = link_names(model)
+    taken = {*links, WORLD, _fixed(BASE)}
+    joints = [_joint_name(model.joint(i).name or f"joint_{i + 1}", taken) for i in range(model.njnt)]
+    sites = [_unique(model.site(i).name or f"site_{i + 1}", taken) for i in range(model.nsite)]
     return Names(links, joints, sites)
+
+
+def _joint_name(name: str, taken: set[str]) -> str:
+    """Return the name of a joint; one that is called like its link says that it is the joint."""
+    return _unique(f"{name}_joint" if name in taken else name, taken)
+
+
+def _fixed(link: str) -> str:
+    return f"{link}_fixed"
 
 
 def free_base(model: mujoco.MjModel) -> int | None:
@@ -57,11 +73,19 @@ def free_base(model: mujoco.MjModel) -> int | None:
 
 
 def write_urdf(
-    model: mujoco.MjModel, name: str, robot: str, visuals: Mapping[str, str] | None = None
+    model: mujoco.MjModel,
+    name: str,
+    robot: str,
+    visuals: Mapping[str, str] | None = None,
+    speeds: Mapping[str, float] | None = None,
+    *,
+    drives: bool = False,
 ) -> dict[str, bytes]:
     """Return {`name`: XML, meshes}; raise ExportError for what URDF can't hold.
 
-    `visuals` names the STL file (mm, in the body's frame) that a link shows in place of its collision shapes.
+    `visuals` names the STL file (mm, in the body's frame) that a link shows in place of its collision shapes, `speeds`
+    (m/s, rad/s) what the model's joints are limited to; with `drives`, servos are transmissions and ros2_control
+    interfaces.
     """
     if model.neq or model.ntendon:
         raise ExportError("URDF can't hold equality constraints or tendons: choose mjcf alone")
@@ -73,10 +97,13 @@ def write_urdf(
         discardvisual="false", strippath="false", fusestatic="false", inertiafromgeom="false",
     )  # fmt: skip
     base = free_base(model)
+    if base is None:
+        ElementTree.SubElement(root, "link", name=WORLD)
+        _add_joint(root, _fixed(BASE), "fixed", WORLD, BASE, np.zeros(3), _UNTURNED)
     for body in range(model.nbody):
         if base is not None and body == 0:
             continue
-        origin = _add_joints(root, model, body, names) if body not in (0, base) else np.zeros(3)
+        origin = _add_joints(root, model, body, names, speeds or {}) if body not in (0, base) else np.zeros(3)
         link = ElementTree.SubElement(root, "link", name=names.links[body])
         _add_inertial(link, model, body, origin)
         for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
@@ -84,18 +111,22 @@ def write_urdf(
         if visuals and names.links[body] in visuals:
             _add_part(link, model, body, visuals[names.links[body]], origin)
         for site in np.flatnonzero(model.site_bodyid == body):
-            _add_carrier(root, names.sites[site])
+            _add_frame(root, names.sites[site], FRAME_MASS)
             _add_joint(
-                root, f"{names.sites[site]}_fixed", "fixed", names.links[body], names.sites[site],
+                root, _fixed(names.sites[site]), "fixed", names.links[body], names.sites[site],
                 model.site_pos[site] - origin, model.site_quat[site],
             )  # fmt: skip
-    _separate_joint_names(root)
+    _separate_names(root)
+    if drives:
+        _add_drives(root, model, names)
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return {name: text + b"\n", **{_mesh_path(model, i): _stl(model, i) for i in range(model.nmesh)}}
 
 
-def _add_joints(root: ElementTree.Element, model: mujoco.MjModel, body: int, names: Names) -> np.ndarray:
+def _add_joints(
+    root: ElementTree.Element, model: mujoco.MjModel, body: int, names: Names, speeds: Mapping[str, float]
+) -> np.ndarray:
     """Join `body` to its parent by its joints, or fixedly; return where its link's frame is in the body's (3,) m."""
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
     parent_body = int(model.body_parentid[body])
@@ -103,7 +134,7 @@ def _add_joints(root: ElementTree.Element, model: mujoco.MjModel, body: int, nam
     position = model.body_pos[body] - link_origin(model, parent_body)
     rotation = model.body_quat[body]
     if not joints:
-        _add_joint(root, f"{names.links[body]}_fixed", "fixed", parent, names.links[body], position, rotation)
+        _add_joint(root, _fixed(names.links[body]), "fixed", parent, names.links[body], position, rotation)
         return np.zeros(3)
     origin = np.zeros(3)
     for joint in joints:
@@ -112,9 +143,10 @@ def _add_joints(root: ElementTree.Element, model: mujoco.MjModel, body: int, nam
         last = joint == joints[-1]
         child = names.links[body] if last else f"{names.links[body]}__{names.joints[joint]}"
         if not last:
-            _add_carrier(root, child)
-        _add_moving_joint(root, model, joint, names.joints[joint], parent, child, position, rotation)
-        parent, position, rotation = child, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+            _add_frame(root, child, CARRIER_MASS)
+        speed = speeds.get(model.joint(joint).name, NO_LIMIT)
+        _add_moving_joint(root, model, joint, names.joints[joint], parent, child, position, rotation, speed)
+        parent, position, rotation = child, np.zeros(3), _UNTURNED
     return origin
 
 
@@ -127,27 +159,28 @@ def _add_moving_joint(
     child: str,
     position: np.ndarray,
     rotation: np.ndarray,
+    speed: float,
 ) -> None:
     axis = model.jnt_axis[joint]
-    reference = float(model.qpos0[model.jnt_qposadr[joint]])
+    moved = float(nearest_zero(model)[joint] - model.qpos0[model.jnt_qposadr[joint]])
     match int(model.jnt_type[joint]):
         case mujoco.mjtJoint.mjJNT_HINGE:
             kind = "revolute" if model.jnt_limited[joint] else "continuous"
             turned = np.zeros(4)
-            mujoco.mju_axisAngle2Quat(turned, axis, -reference)
+            mujoco.mju_axisAngle2Quat(turned, axis, moved)
             rotation = _multiply(rotation, turned)  # URDF's zero posture is the one of joint value zero
         case mujoco.mjtJoint.mjJNT_SLIDE:
             kind = "prismatic"
-            position = position - _rotate(rotation, axis * reference)
+            position = position + _rotate(rotation, axis * moved)
         case _:
             raise ExportError(f"URDF can't hold the joint {name}: only hinge, slide and a free base are possible")
     element = _add_joint(root, name, kind, parent, child, position, rotation)
     ElementTree.SubElement(element, "axis", xyz=_row(axis))
     limit = ElementTree.SubElement(
-        element, "limit", effort=_number(joint_effort(model, joint)), velocity=_number(NO_LIMIT)
+        element, "limit", effort=_number(joint_effort(model, joint)), velocity=_number(speed)
     )
     if kind != "continuous":
-        lo, hi = joint_limits(model, joint)
+        lo, hi = joint_limits(model, joint, float(nearest_zero(model)[joint]))
         limit.set("lower", _number(lo))
         limit.set("upper", _number(hi))
     dof = int(model.jnt_dofadr[joint])
@@ -157,11 +190,11 @@ def _add_moving_joint(
     )  # fmt: skip
 
 
-def joint_limits(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    """Return (lo, hi) as the URDF states them: +-NO_LIMIT for a joint without limits."""
+def joint_limits(model: mujoco.MjModel, joint: int, zero: float) -> tuple[float, float]:
+    """Return (lo, hi) as the URDF states them, measured from `zero`: +-NO_LIMIT for a joint without limits."""
     if not model.jnt_limited[joint]:
         return -NO_LIMIT, NO_LIMIT
-    return float(model.jnt_range[joint, 0]), float(model.jnt_range[joint, 1])
+    return float(model.jnt_range[joint, 0] - zero), float(model.jnt_range[joint, 1] - zero)
 
 
 def joint_effort(model: mujoco.MjModel, joint: int) -> float:
@@ -201,17 +234,22 @@ def _add_joint(
     return element
 
 
-def _add_carrier(root: ElementTree.Element, name: str) -> None:
-    inertial = ElementTree.SubElement(ElementTree.SubElement(root, "link", name=name), "inertial")
-    _add_origin(inertial, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-    ElementTree.SubElement(inertial, "mass", value=_number(CARRIER_MASS))
-    _add_inertia(inertial, np.full(3, CARRIER_MASS))
+def _add_frame(root: ElementTree.Element, name: str, mass: float) -> None:
+    _weigh(ElementTree.SubElement(ElementTree.SubElement(root, "link", name=name), "inertial"), mass)
+
+
+def _weigh(inertial: ElementTree.Element, mass: float) -> None:
+    """Give a link that is only a frame next to no mass, and even less inertia."""
+    _add_origin(inertial, np.zeros(3), _UNTURNED)
+    ElementTree.SubElement(inertial, "mass", value=_number(mass))
+    _add_inertia(inertial, np.full(3, FRAME_MASS))
 
 
 def _add_inertial(link: ElementTree.Element, model: mujoco.MjModel, body: int, origin: np.ndarray) -> None:
-    if model.body_mass[body] <= 0:
-        return
     inertial = ElementTree.SubElement(link, "inertial")
+    if model.body_mass[body] <= 0:
+        _weigh(inertial, CARRIER_MASS)
+        return
     _add_origin(inertial, model.body_ipos[body] - origin, model.body_iquat[body])
     ElementTree.SubElement(inertial, "mass", value=_number(model.body_mass[body]))
     _add_inertia(inertial, model.body_inertia[body])
@@ -224,7 +262,7 @@ def _add_inertia(inertial: ElementTree.Element, diagonal: np.ndarray) -> None:
 
 def _add_part(link: ElementTree.Element, model: mujoco.MjModel, body: int, file: str, origin: np.ndarray) -> None:
     element = ElementTree.SubElement(link, "visual")
-    _add_origin(element, -origin, np.array([1.0, 0.0, 0.0, 0.0]))
+    _add_origin(element, -origin, _UNTURNED)
     geometry = ElementTree.SubElement(element, "geometry")
     ElementTree.SubElement(geometry, "mesh", filename=file, scale="0.001 0.001 0.001")
     _add_colour(element, _colour(model, int(model.body_geomadr[body])))
@@ -279,9 +317,34 @@ def _shapes(model: mujoco.MjModel, geom: int) -> Iterator[tuple[float, str, dict
             )
 
 
-def _separate_joint_names(root: ElementTree.Element) -> None:
-    """Rename fixed joints whose made-up name an authored joint has already."""
-    taken = {e.get("name", "") for e in root.iter("joint") if e.get("type") != "fixed"}
+def _add_drives(root: ElementTree.Element, model: mujoco.MjModel, names: Names) -> None:
+    """Add a transmission for each servo, of which Drake makes an actuator, and all as one ros2_control system."""
+    block = ElementTree.SubElement(root, "ros2_control", name="servos", type="system")
+    plugin = ElementTree.SubElement(ElementTree.SubElement(block, "hardware"), "plugin")
+    plugin.text = "mock_components/GenericSystem"  # until real ones have a driver
+    zero = nearest_zero(model)
+    for actuator in held(model):
+        j = int(model.actuator_trnid[actuator, 0])
+        joint = names.joints[j]
+        drive = ElementTree.SubElement(root, "transmission", name=f"{joint}_transmission")
+        ElementTree.SubElement(drive, "type").text = "transmission_interface/SimpleTransmission"
+        driven = ElementTree.SubElement(drive, "joint", name=joint)
+        ElementTree.SubElement(driven, "hardwareInterface").text = "hardware_interface/PositionJointInterface"
+        motor = ElementTree.SubElement(drive, "actuator", name=f"{joint}_servo")
+        ElementTree.SubElement(motor, "mechanicalReduction").text = "1"
+        entry = ElementTree.SubElement(block, "joint", name=joint)
+        command = ElementTree.SubElement(entry, "command_interface", name="position")
+        if model.jnt_limited[j]:
+            for name, limit in zip(("min", "max"), joint_limits(model, j, float(zero[j])), strict=True):
+                ElementTree.SubElement(command, "param", name=name).text = _number(limit)
+        position = ElementTree.SubElement(entry, "state_interface", name="position")
+        ElementTree.SubElement(position, "param", name="initial_value").text = "0.0"
+        ElementTree.SubElement(entry, "state_interface", name="velocity")
+
+
+def _separate_names(root: ElementTree.Element) -> None:
+    """Rename fixed joints whose made-up name a link or an authored joint has already."""
+    taken = {e.get("name", "") for e in [*root.iter("link"), *root.iter("joint")] if e.get("type") != "fixed"}
     for element in root.iter("joint"):
         if element.get("type") == "fixed":
             element.set("name", _unique(element.get("name", ""), taken))

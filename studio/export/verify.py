@@ -7,7 +7,7 @@ centres and moments of inertia, joint limits, and where every body and site stan
 import importlib.util
 import math
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,12 +16,17 @@ import numpy as np
 
 from studio.export.archive import check_path
 from studio.export.check import Check, relative, worst
+from studio.export.errors import ExportError
 from studio.export.readings import Reading, read_mjcf, read_urdf, read_yourdfpy
+from studio.export.ros import FOLDER, plain_urdf
+from studio.export.urdf import WORLD
 
 POSTURES = 100
 POSITION_ALLOWED = 1e-9  # m
 ROTATION_ALLOWED = 1e-9
 RELATIVE_ALLOWED = 1e-9
+DROPPED_MASS = 1e-6
+"""kg: Gazebo takes a link of no more than this for one without mass."""
 FRAME_MASS = 1e-3
 """kg: what a link may weigh that stands for a place on a body, and is given a weight for readers that need one."""
 
@@ -31,9 +36,12 @@ def verify(
     model: mujoco.MjModel | None = None,
     *,
     robot: str = "robot",
+    zero: Mapping[str, float] | None = None,
     only_mujoco: bool = False,
 ) -> list[Check]:
     """Compare `robot`.xml, .mjz and .urdf of `files` with `model`, or with one another if there is none.
+
+    `zero` holds the values at which the model's joints, by name, are where the files have them at 0.
 
     A file that can't be read gives a failed check, not an exception.
     """
@@ -43,13 +51,19 @@ def verify(
             check_path(path)
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_bytes(content)
-        checks = _read_and_compare(folder, robot, model, only_mujoco)
-    if f"{robot}.urdf" in files:
-        checks.append(_check_urdf(f"{robot}.urdf", files))
+        checks = _read_and_compare(folder, robot, None if model is None else read_mjcf(model, zero), only_mujoco)
+    for path in (f"{robot}.urdf", *_in_packages(files, robot)):
+        if path in files:
+            checks.append(_check_urdf(path, files))
     return checks
 
 
-def _read_and_compare(folder: Path, robot: str, model: mujoco.MjModel | None, only_mujoco: bool) -> list[Check]:
+def _in_packages(files: Iterable[str], robot: str) -> list[str]:
+    """Return the paths of the URDFs in ROS packages."""
+    return [path for path in files if path.startswith(f"{FOLDER}/") and path.endswith(f"/urdf/{robot}.urdf")]
+
+
+def _read_and_compare(folder: Path, robot: str, reference: Reading | None, only_mujoco: bool) -> list[Check]:
     xml, archive, urdf = (folder / f"{robot}{ending}" for ending in (".xml", ".mjz", ".urdf"))
     readers: list[tuple[str, Callable[[], Reading]]] = []
     if xml.exists():
@@ -60,8 +74,9 @@ def _read_and_compare(folder: Path, robot: str, model: mujoco.MjModel | None, on
         readers.append((f"{urdf.name} in MuJoCo", lambda: read_urdf(_load(urdf))))
         if not only_mujoco and importlib.util.find_spec("yourdfpy"):
             readers.append((f"{urdf.name} in yourdfpy", lambda: read_yourdfpy(urdf)))
+    for path in _in_packages((p.relative_to(folder).as_posix() for p in folder.rglob("*.urdf")), robot):
+        readers.append((f"{path} in MuJoCo", lambda path=path: _read_packaged(folder, path)))
     checks = []
-    reference = None if model is None else read_mjcf(model)
     for name, read in readers:
         try:
             reading = read()
@@ -78,6 +93,13 @@ def _read_and_compare(folder: Path, robot: str, model: mujoco.MjModel | None, on
         except ValueError as error:
             checks.append(Check("scene.xml in MuJoCo", math.inf, 0.0, f"can't be read: {error}"))
     return checks
+
+
+def _read_packaged(folder: Path, path: str) -> Reading:
+    """Read the URDF of a ROS package, with its meshes by plain paths."""
+    plain = folder / "packaged.urdf"
+    plain.write_bytes(plain_urdf(path, (folder / path).read_bytes()))
+    return read_urdf(_load(plain))
 
 
 def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
@@ -141,16 +163,16 @@ def _load(path: Path) -> mujoco.MjModel:
 
 
 def _check_urdf(path: str, files: Mapping[str, bytes]) -> Check:
-    """Check what readers let pass: positive masses, possible inertias, limits in order, unique names, meshes there."""
+    """Check what most readers let pass: masses and inertias that can be, limits that hold zero, names, meshes."""
     name = f"{path}: valid"
     try:
-        root = ElementTree.fromstring(files[path])
-    except ElementTree.ParseError as error:
-        return Check(name, math.inf, 0.0, f"no XML: {error}")
+        content = plain_urdf(path, files[path]) if path.startswith(f"{FOLDER}/") else files[path]
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ExportError) as error:
+        return Check(name, math.inf, 0.0, f"no URDF: {error}")
     faults = [*_faults_of_inertials(root), *_faults_of_joints(root)]
-    for kind in ("link", "joint"):
-        names = [element.get("name", "") for element in root.findall(kind)]
-        faults += [f"two {kind}s are named {n}" for n in sorted({n for n in names if names.count(n) > 1})]
+    names = [element.get("name", "") for element in [*root.findall("link"), *root.findall("joint")]]
+    faults += [f"two links or joints are named {n}" for n in sorted({n for n in names if names.count(n) > 1})]
     meshes = {element.get("filename", "") for element in root.iter("mesh")}
     faults += [f"mesh {mesh} is missing" for mesh in sorted(meshes - set(files))]
     return Check(name, float(len(faults)), 0.0, "; ".join(faults))
@@ -158,12 +180,17 @@ def _check_urdf(path: str, files: Mapping[str, bytes]) -> Check:
 
 def _faults_of_inertials(root: ElementTree.Element) -> list[str]:
     faults = []
+    moving = [joint.find("parent") for joint in root.findall("joint") if joint.get("type") != "fixed"]
+    carriers = {parent.get("link") for parent in moving if parent is not None}
     for link in root.findall("link"):
         mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
         if mass is None or inertia is None:
+            faults += [f"{link.get('name')} has no inertial"] * (link.get("name") != WORLD)
             continue
         if not _read(mass, "value") > 0:
             faults.append(f"{link.get('name')} has no positive mass")
+        if link.get("name") in carriers and _read(mass, "value") <= DROPPED_MASS:
+            faults.append(f"{link.get('name')} is so light that Gazebo drops it with all it carries")
         small, middle, large = sorted(_read(inertia, axis) for axis in ("ixx", "iyy", "izz"))
         if not (small > 0 and small + middle >= large * (1 - RELATIVE_ALLOWED)):
             faults.append(f"{link.get('name')} has an impossible inertia")
@@ -179,11 +206,15 @@ def _faults_of_joints(root: ElementTree.Element) -> list[str]:
         faults.append(f"the links are no tree (roots: {', '.join(roots) or 'none'})")
     for joint in root.findall("joint"):
         limit = joint.find("limit")
+        if limit is not None and not all(0 < _read(limit, name) < math.inf for name in ("effort", "velocity")):
+            faults.append(f"{joint.get('name')} has no positive effort and velocity")
         if joint.get("type") not in ("revolute", "prismatic"):
             continue
         lo, hi = (math.nan if limit is None else _read(limit, end) for end in ("lower", "upper"))
         if not lo < hi:
             faults.append(f"{joint.get('name')} has no limits with lower < upper")
+        elif not lo <= 0 <= hi:
+            faults.append(f"zero, where readers begin, is outside the limits of {joint.get('name')}")
     return faults
 
 

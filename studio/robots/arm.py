@@ -10,7 +10,7 @@ from morph_core.tasks.printed import ARM_SCALE
 from studio.robots import bolted, geometry
 from studio.robots.parts import BASE, MILLIMETRE, Part, parts_of
 from studio.robots.robot import Bought, Program
-from studio.robots.units import units_of
+from studio.robots.units import speeds_of, units_of
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,15 @@ class ArmRobot:
     def bought(self, parts: Sequence[Part]) -> list[Bought]:
         """Return the pins and drives of the joints."""
         return [bolted.pins(parts, ARM_SCALE), bolted.drives(parts)]
+
+    def zero(self, phi: np.ndarray) -> dict[str, float]:
+        """Return nothing: stretched out along x the arm stands still, and its joints turn all the way round."""
+        return {}
+
+    @property
+    def speeds(self) -> dict[str, float]:
+        """Speed of each joint (rad/s): its largest change in a control step, over the step's time."""
+        return {f"joint_{i}": speed for i, speed in enumerate(speeds_of(self.task), start=1)}
 
     def program(self, phi: np.ndarray) -> Program:
         """Return the program that runs the policy in MuJoCo's kinematics."""

@@ -11,7 +11,7 @@ from morph_core.tasks.simulation import SUBSTEPS
 from studio.robots import bolted, geometry
 from studio.robots.parts import MILLIMETRE, Part, parts_of
 from studio.robots.robot import Bought, Program
-from studio.robots.units import units_of
+from studio.robots.units import speeds_of, units_of
 
 SERVO_MASS = 13.4  # g, of an MG90S
 
@@ -48,6 +48,24 @@ class HandRobot:
         ]  # fmt: skip
         return [bolted.pins(parts), bolts, *[servos] * (self.hand.servo != "none"), bolted.drives(parts)]
 
+    def zero(self, phi: np.ndarray) -> dict[str, float]:
+        """Return the start posture: with hanging fingers the palm would have to be higher than its slide goes."""
+        return dict(zip(self._joints, self.hand.start(phi).tolist(), strict=True))
+
+    @property
+    def speeds(self) -> dict[str, float]:
+        """Speed of each joint (m/s, rad/s): the largest change of its target, over the time of a control step."""
+        return dict(zip(self._joints, speeds_of(self.task), strict=True))
+
     def program(self, phi: np.ndarray) -> Program:
-        """Return the program that runs the policy in MuJoCo's physics."""
-        return Program("run_hand.py", {**units_of(self.task), "substeps": np.array(SUBSTEPS)})
+        """Return the program that runs the policy in MuJoCo's physics, where joints are measured from `zero`."""
+        units = units_of(self.task)
+        middle = units["middle"].copy()
+        middle[: self.hand.joints] -= self.hand.start(phi)
+        return Program("run_hand.py", {**units, "middle": middle, "substeps": np.array(SUBSTEPS)})
+
+    @property
+    def _joints(self) -> list[str]:
+        """Names of the joints, as in the task's model."""
+        fingers = range(1, self.hand.fingers + 1)
+        return ["palm", *(f"finger_{i}_{link}" for i in fingers for link in ("proximal", "distal"))]

@@ -12,7 +12,7 @@ from studio.robots import geometry
 from studio.robots.parts import MILLIMETRE, Part, free_name, link_names
 from studio.robots.robot import Bought, Program
 from studio.robots.shapes import solid_of
-from studio.robots.units import units_of
+from studio.robots.units import speeds_of, units_of
 
 OFF_ALLOWED = 0.01
 """Largest distance between where MuJoCo and the task take the robot in one control step, as a share of the way."""
@@ -49,6 +49,23 @@ class PlainRobot:
     def bought(self, parts: Sequence[Part]) -> list[Bought]:
         """Return nothing: a model does not tell what is bought."""
         return []
+
+    def zero(self, phi: np.ndarray) -> dict[str, float]:
+        """Return nothing: what a stranger's task calls zero stays zero."""
+        return {}
+
+    @property
+    def speeds(self) -> dict[str, float]:
+        """Speed of each joint (m/s, rad/s) that the task moves by itself; with actuators nothing is known of it."""
+        model, speeds = self.task.spec(self.task.design_space.initial).compile(), speeds_of(self.task)
+        if model.nu:
+            return {}
+        return {
+            model.joint(j).name: speeds[dof]
+            for j in range(model.njnt)
+            if (dof := int(model.jnt_dofadr[j])) < len(speeds)
+            and int(model.jnt_type[j]) in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+        }
 
     def program(self, phi: np.ndarray) -> Program:
         """Return a program that runs the policy in MuJoCo where that does as the task does, else one for any task."""

@@ -66,6 +66,19 @@ class Robot(Protocol):
         """Text of report.html below the table of parts, as HTML."""
         ...
 
+    def zero(self, phi: np.ndarray) -> Mapping[str, float]:
+        """Return the joint values (m, rad) of design phi (d,) which the exported files call zero, by the joints' names.
+
+        Every reader begins at zero, and a servo without a command goes there. A joint without an entry keeps its own
+        zero.
+        """
+        ...
+
+    @property
+    def speeds(self) -> Mapping[str, float]:
+        """Fastest speed (m/s, rad/s) that the task asks of each joint, by its name; no limit without an entry."""
+        ...
+
     def program(self, phi: np.ndarray) -> Program:
         """Return the program that runs the policy on design phi (d,)."""
         ...

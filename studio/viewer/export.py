@@ -7,6 +7,7 @@ import viser
 from morph_core.history import History
 from studio.export.bundle import ALL_FORMATS, OPTIONAL_FORMATS, Bundle
 from studio.export.design_file import DESIGN_TYPES
+from studio.export.ros import FOLDER
 from studio.viewer import wording
 
 CHOICES = ("best", "latest", "iteration")
@@ -17,11 +18,18 @@ HINTS = {
     "3mf": "to print, with names and quantities, mm",
     "glb": "the assembly to look at, m",
     "step": "for CAD programs; needs build123d and takes half a minute",
+    "ros": "a ROS 2 description package, which a launch file shows in RViz",
+    "ros2_control": "servos in the URDF: transmissions, and ros2_control with mock hardware",
 }
 _PLACES = {
     "mjcf": (".xml", ".mjz"), "urdf": (".urdf", "control.json"), "stl": (".stl",), "3mf": (".3mf",), "glb": (".glb",),
-    "step": (".step",),
+    "step": (".step",), "ros": (), "ros2_control": (),
 }  # fmt: skip
+
+
+def _is_of(name: str, path: str) -> bool:
+    """Tell whether a file of a bundle belongs to a format; all of a ROS package, its meshes too, to `ros`."""
+    return name == "ros" if path.startswith(f"{FOLDER}/") else path.endswith(_PLACES[name])
 
 
 class ExportPanel:
@@ -130,7 +138,7 @@ class ExportPanel:
         self._bundle = bundle
         lines = []
         for name, box in self.formats.items():
-            sizes = [len(content) for path, content in bundle.files.items() if path.endswith(_PLACES[name])]
+            sizes = [len(content) for path, content in bundle.files.items() if _is_of(name, path)]
             if box.value and sizes:
                 lines.append((f"✓ {name}, {len(sizes)} files", wording.size(sum(sizes))))
         policy = [len(content) for path, content in bundle.files.items() if "policy" in path]

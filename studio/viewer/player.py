@@ -278,15 +278,15 @@ class Player:
         self._framed = place
         self._ruler.show(take.floor, take.box)
         start = self._initial_camera
-        position, target = camera(*take.box)
+        # viser's client goes to where it begins in its own time, so for one browser that is where it is pointed, too.
+        position, target = _pose(self._host, take) if isinstance(self._host, viser.ClientHandle) else camera(*take.box)
         start.fov, start.position, start.look_at = FIELD_OF_VIEW, position, target
         for client in clients_of(self._host):
             self._point(client, take)
 
     def _point(self, client: viser.ClientHandle, take: Take) -> None:
         """Let a client see the whole scene, whatever the shape of its page."""
-        aspect = client.camera.aspect
-        position, target = camera(*take.box, aspect if aspect < NARROW else USUAL_ASPECT)
+        position, target = _pose(client, take)
         client.camera.fov, client.camera.position, client.camera.look_at = FIELD_OF_VIEW, position, target
 
     def _welcome(self, client: viser.ClientHandle) -> None:
@@ -331,6 +331,12 @@ class Player:
         self._marked = marked.tobytes()
         radius = _CONTACT_RADIUS * float(np.max(take.box[1] - take.box[0]))
         self._contact.show(Figure.balls(marked, radius, "contact", CONTACT_COLOUR) if len(marked) else None)
+
+
+def _pose(client: viser.ClientHandle, take: Take) -> tuple[np.ndarray, np.ndarray]:
+    """Return position (3,) and target (3,) of a camera by which a client sees the whole scene."""
+    aspect = client.camera.aspect
+    return camera(*take.box, aspect if aspect < NARROW else USUAL_ASPECT)
 
 
 def _plain(figure: Figure | None, layer: str) -> np.ndarray | None:

@@ -54,7 +54,7 @@ def learnt(history: History) -> list[tuple[list[float], float]]:
     return [(e.phi, e.episode_return) for e in history.events if isinstance(e, Progress)]
 
 
-@pytest.mark.parametrize("every", [11, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [17, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_full_disk_pauses_the_run_wherever_it_is_met(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, every: int
 ) -> None:

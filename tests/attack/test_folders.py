@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from morph_core import durable, inside
@@ -202,6 +202,7 @@ NAMES = st.text(st.sampled_from("0123456789abcdef.old draftSsh-"), min_size=1, m
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@example(names={".ssh", ".config.old", ".ssh.draft", ".notes.0a1b2c3d.draft", ".000004.mine.draft", ".draft"})
 @given(names=st.sets(NAMES.map(lambda name: f".{name}"), max_size=6))
 def test_only_drafts_are_deleted_by_name(tmp_path: Path, names: set[str]) -> None:
     parent = tmp_path / str(time.monotonic_ns())

@@ -74,14 +74,13 @@ def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path:
         low, high = evaluation.return_interval
         assert low <= evaluation.sampled_return <= high
     assert episode["population"].shape == (min(SMALL.trajectories, SHOWN_DESIGNS), 5)
-    assert isinstance(SMALL.search, Cma)
-    assert episode["generation"].shape == (SMALL.search.population, 5)  # what the last generation of CMA-ES tried
-    assert np.ptp(episode["generation"], axis=0).min() > 0
     assert not [name for name in episode if name.startswith("milestones/")]
     assert [e.milestones for e in history.evaluations] == [{}] * 3
     fitted = SMALL.proxy.prefit * SMALL.proxy.prefit_pairs
     search = SMALL.search
     assert isinstance(search, Cma)
+    assert episode["generation"].shape == (search.population, 5)  # what the last generation of CMA-ES tried
+    assert np.ptp(episode["generation"], axis=0).min() > 0
     searched = search.pairs * (search.population * search.generations + 2)  # start and find, again
     assert [p.relabelled_steps for p in history.progress] == [fitted + p.env_steps for p in history.progress]
     assert [p.search_steps for p in history.progress] == [p.iteration * searched for p in history.progress]

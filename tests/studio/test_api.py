@@ -130,7 +130,7 @@ def test_a_started_run_is_listed_and_shown(served: Served, run_id: str) -> None:
     run = served.client.get(f"/api/runs/{run_id}").json()
     assert run["config"]["alpha"] == 0.5
     assert run["phi"] == [3.0] * 5
-    assert eventually(lambda: served.viewer.selected == run_id)
+    assert eventually(lambda: served.viewer.shown and served.viewer.shown[-1][2] == run_id)
 
 
 def test_a_preset_is_told_and_taken(served: Served) -> None:
@@ -253,7 +253,7 @@ def test_resume_starts_a_trainer_once(served: Served, ended: RunFolder) -> None:
 def test_the_viewer_shows_what_the_page_has_chosen(served: Served, ended: RunFolder) -> None:
     assert served.client.get(f"/api/runs/{ended.id}").json()["current"] is False
     assert served.client.post(f"/api/runs/{ended.id}/show").json()["current"] is True
-    assert eventually(lambda: served.viewer.selected == ended.id)
+    assert eventually(lambda: served.viewer.turned_to == [(ended.id, None)])
 
 
 values = st.recursive(

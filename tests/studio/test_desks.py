@@ -38,13 +38,17 @@ class Room:
     desks: Desks = field(init=False)
     commands: list[tuple[str, AnyCommand, str]] = field(default_factory=list)
     viewers: list[Viewer] = field(default_factory=list)
+    free: threading.Event = field(default_factory=threading.Event)
+    """Set unless whoever makes viewers is held up."""
     breaking: bool = False
     """Whether no viewer can be made."""
 
     def __post_init__(self) -> None:
+        self.free.set()
         self.desks = Desks(self.guarded.server, self.make)
 
     def make(self, client: viser.ClientHandle) -> Viewer:
+        self.free.wait(20)
         if self.breaking:
             raise RuntimeError("no viewer today, says the test")
         viewer = Viewer(
@@ -78,7 +82,11 @@ class Room:
     @contextlib.contextmanager
     def browser(self, key: str) -> Iterator[Connection]:
         with connect(
-            f"{self.guarded.address}?{key}", subprotocols=[Subprotocol("viser-v1.1.1")], max_size=None, proxy=None
+            f"{self.guarded.address}?{key}",
+            subprotocols=[Subprotocol("viser-v1.1.1")],
+            max_size=None,
+            proxy=None,
+            close_timeout=0.3,
         ) as connection:
             connection.send(msgspec.msgpack.encode(CAMERA))
             yield connection
@@ -135,7 +143,9 @@ def test_steering_goes_to_the_run_and_says_who_did_it(room: Room) -> None:
 def test_a_browser_that_comes_again_finds_what_it_left(room: Room) -> None:
     with room.browser(key("a")):
         assert room.shows(key("a"), NAME)
-        room.desks.put(key("a"), View(run=OTHER, iteration=1, ticks={"ghost": False}))
+        viewer = room.viewer_of(key("a"))
+        viewer.open(OTHER, 1)
+        viewer.looks.ghost.value = False
         assert room.shows(key("a"), OTHER, 1)
     assert eventually(lambda: not room.desks.seen(key("a")).connected)
     assert room.desks.seen(key("a")).run == OTHER
@@ -185,7 +195,19 @@ def test_one_browser_too_many_waits_until_another_leaves(room: Room) -> None:
 def test_a_browser_that_leaves_takes_its_threads_along(room: Room) -> None:
     before = len(players())
     with room.browser(key("a")), room.browser(key("b")):
-        assert eventually(lambda: len(players()) == before + 4)
+        assert eventually(lambda: len(room.desks._seated()) == 2)
+        assert len(players()) == before + 4
+    assert eventually(lambda: len(players()) == before)
+
+
+def test_a_browser_that_leaves_before_its_viewer_is_made_leaves_nothing(room: Room) -> None:
+    before = len(players())
+    room.free.clear()
+    with room.browser(key("a")):
+        assert eventually(lambda: room.desks._desks)
+    assert eventually(lambda: not room.desks._desks)
+    room.free.set()
+    assert eventually(lambda: room.viewers)
     assert eventually(lambda: len(players()) == before)
 
 

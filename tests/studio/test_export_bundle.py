@@ -152,7 +152,7 @@ def test_a_design_that_is_not_there_is_refused(history: History, which: str) -> 
         build_bundle(history, which)
 
 
-@pytest.mark.parametrize("phi", [[3.0, 3.0], [1e9, 1, 1, 1, 1], [0.0, 1, 1, 1, 1]])
+@pytest.mark.parametrize("phi", [[1e9, 1, 1, 1, 1], [0.0, 1, 1, 1, 1]])
 def test_a_recorded_design_outside_the_task_is_refused(history: History, phi: list[float]) -> None:
     log = EventLog(history.folder)
     log.append(Progress(iteration=4, env_steps=9, phi=phi, episode_return=0, success=0, policy_std=0.5))

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,8 @@ from studio.export.errors import ExportError
 from studio.export.meshes import three_mf
 from studio.export.policy import Policy, Score
 from studio.export.proof import prove, prove_robot, unpack
+from studio.export.urdf import urdf_names
+from studio.export.zero import zero_of
 from studio.new_run import StartRun
 from studio.robots.chooser import robot_of
 from studio.robots.parts import Part
@@ -60,27 +62,36 @@ def faults_of(task: Task, phi: np.ndarray) -> list[str]:
     """Return where the files of a design differ from the robot that is simulated, whoever reads them."""
     parts, robot = robot_of(task).parts(phi), robot_of(task).file_name
     files = robot_files(task, phi, parts, FORMATS)
-    design = Design(
-        task=task.name, task_options={}, robot=robot, run="", design="", iteration=0, parameters=[],
-        parts=[PartEntry(part.name, list(part.links), part.inertial.mass) for part in parts],
-    )  # fmt: skip
-    faults = [str(check) for check in prove_robot(files, design, task, phi) if not check.passed]
+    checks = prove_robot(files, design_in(task, parts), task, phi)
+    faults = [str(check) for check in checks if not check.passed]
     model = task.spec(phi).compile()
+    zero = zero_of(model, robot_of(task).zero(phi))
     with tempfile.TemporaryDirectory() as folder:
         unpack(files, Path(folder))
         urdf = Path(folder) / f"{robot}.urdf"
-        return faults + faults_in_pinocchio(urdf, model) + faults_in_pybullet(urdf, model)
+        return faults + faults_in_pinocchio(urdf, model, zero) + faults_in_pybullet(urdf, model, zero)
 
 
-def faults_in_pinocchio(urdf: Path, model: mujoco.MjModel) -> list[str]:
-    """Compare the URDF as pinocchio reads it: masses, limits, and places in random postures."""
+def design_in(task: Task, parts: Sequence[Part]) -> Design:
+    """Return a design of a task as a bundle has it, as far as its robot is concerned."""
+    return Design(
+        task=task.name, task_options={}, robot=robot_of(task).file_name, run="", design="", iteration=0, parameters=[],
+        parts=[PartEntry(part.name, list(part.links), part.inertial.mass) for part in parts],
+    )  # fmt: skip
+
+
+def faults_in_pinocchio(urdf: Path, model: mujoco.MjModel, zero: np.ndarray) -> list[str]:
+    """Compare the URDF as pinocchio reads it: masses, limits from `zero`, and places in random postures."""
     if not (pinocchio := optional("pinocchio")):
         return []
     robot = pinocchio.buildModelFromUrdf(str(urdf))
     for kind in (pinocchio.GeometryType.VISUAL, pinocchio.GeometryType.COLLISION):
         pinocchio.buildGeomFromUrdf(robot, str(urdf), kind, pinocchio.GeometryModel(), str(urdf.parent))
     data, state, rng = robot.createData(), mujoco.MjData(model), np.random.default_rng(1)
-    faults = []
+    neutral, names = pinocchio.neutral(robot), urdf_names(model).joints
+    faults = ["pinocchio: neutral is not allowed"] * bool(
+        np.any((neutral < robot.lowerPositionLimit) | (neutral > robot.upperPositionLimit))
+    )
     if abs(pinocchio.computeTotalMass(robot) / model.body_mass.sum() - 1) > 1e-9:
         faults.append("pinocchio: mass")
     for _ in range(10):
@@ -88,31 +99,35 @@ def faults_in_pinocchio(urdf: Path, model: mujoco.MjModel) -> list[str]:
         for j in range(model.njnt):
             lo, hi = model.jnt_range[j] if model.jnt_limited[j] else (-3.0, 3.0)
             state.qpos[j] = rng.uniform(lo, hi)
-            joint = robot.joints[robot.getJointId(model.joint(j).name)]
+            joint = robot.joints[robot.getJointId(names[j])]
             bounded = joint.nq == 1
             place = slice(joint.idx_q, joint.idx_q + joint.nq)
-            q[place] = state.qpos[j] if bounded else [np.cos(state.qpos[j]), np.sin(state.qpos[j])]
-            if bounded and (robot.lowerPositionLimit[joint.idx_q], robot.upperPositionLimit[joint.idx_q]) != (lo, hi):
+            value = state.qpos[j] - zero[j]
+            q[place] = value if bounded else [np.cos(value), np.sin(value)]
+            limits = robot.lowerPositionLimit[joint.idx_q], robot.upperPositionLimit[joint.idx_q]
+            if bounded and limits != (lo - zero[j], hi - zero[j]):
                 faults.append(f"pinocchio: limits of {model.joint(j).name}")
         mujoco.mj_kinematics(model, state)
         pinocchio.framesForwardKinematics(robot, data, q)
         for body in range(1, model.nbody):
-            place = data.oMf[robot.getFrameId(model.body(body).name, pinocchio.FrameType.BODY)].translation
+            place = data.oMf[robot.getFrameId(model.body(body).name)].translation  # no other frame has this name
             if np.abs(place - state.xpos[body]).max() > 1e-9:
                 faults.append(f"pinocchio: place of {model.body(body).name}")
     return faults
 
 
-def faults_in_pybullet(urdf: Path, model: mujoco.MjModel) -> list[str]:
+def faults_in_pybullet(urdf: Path, model: mujoco.MjModel, zero: np.ndarray) -> list[str]:
     """Compare the URDF as pybullet reads it, which keeps limits and masses but moves in single precision."""
     if not (pybullet := optional("pybullet")):
         return []
     client = pybullet.connect(pybullet.DIRECT)
     faults = []
     try:
-        robot = pybullet.loadURDF(str(urdf), useFixedBase=True, physicsClientId=client)
+        robot = pybullet.loadURDF(str(urdf), physicsClientId=client)
         if robot < 0:
             return ["pybullet: can't load it"]
+        if pybullet.getDynamicsInfo(robot, -1, client)[0] != 0:
+            faults.append("pybullet: its base falls")
         for joint in range(pybullet.getNumJoints(robot, client)):
             info = pybullet.getJointInfo(robot, joint, client)
             link = info[12].decode()
@@ -121,8 +136,8 @@ def faults_in_pybullet(urdf: Path, model: mujoco.MjModel) -> list[str]:
             mass = pybullet.getDynamicsInfo(robot, joint, client)[0]
             if abs(mass / model.body(link).mass[0] - 1) > 1e-6:
                 faults.append(f"pybullet: mass of {link}")
-            j = model.joint(info[1].decode()).id
-            if model.jnt_limited[j] and not np.allclose(info[8:10], model.jnt_range[j], atol=1e-6):
+            j = urdf_names(model).joints.index(info[1].decode())
+            if model.jnt_limited[j] and not np.allclose(info[8:10], model.jnt_range[j] - zero[j], atol=1e-6):
                 faults.append(f"pybullet: limits of {link}")
     finally:
         pybullet.disconnect(client)
@@ -221,8 +236,12 @@ def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
     assert any(row.startswith("finger_2_distal,3,finger_2_distal finger_3_distal finger_4_distal,") for row in rows)
     assert any(row.startswith("dowel pin 4 x 22 mm,8") for row in rows)
     control = json.loads(bundle.files["control.json"])
-    joint = control["joints"]["finger_1_distal"]
-    assert joint["servos"] == [{"kp": 8.0, "kd": 0.6, "max_force": 4.0, "targets": [-0.6, 2.2]}]
+    joint = control["joints"]["finger_1_distal_joint"]
+    assert joint["zero"] == 0.25
+    targets = pytest.approx([-0.6 - 0.25, 2.2 - 0.25])
+    assert joint["servos"] == [{"kp": 8.0, "kd": 0.6, "max_force": 4.0, "targets": targets}]
+    assert "MuJoCo 3.2 and newer read the .xml files" in bundle.files["README.txt"].decode()
+    assert json.loads(bundle.files["provenance.json"])["oldest_mujoco"] == "3.2"
     assert joint["armature"] == 0.01
 
 
@@ -334,7 +353,7 @@ BREAKS = [
     ("parts/finger_1_distal.stl", larger, "parts/finger_1_distal.stl: mass"),
     ("parts/finger_1_distal.stl", doubled, "one body"),
     ("parts/finger_1_distal.stl", lambda _: b"", "parts/finger_1_distal.stl"),
-    ("hand.xml", replaced('range="-0.9 1.7"', 'range="-0.9 1.8"'), "hand.xml in MuJoCo: joint limits"),
+    ("hand.xml", replaced('range="-2.35 0.25"', 'range="-2.35 0.35"'), "hand.xml in MuJoCo: joint limits"),
     ("hand.xml", replaced('size="0.015 ', 'size="0.016 '), "hand.xml in MuJoCo: collision extents"),
     ("hand.urdf", replaced('xyz="0.0 0.0 -', 'xyz="0.0 0.00001 -'), "hand.urdf in MuJoCo"),
     ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.016"'), "hand.urdf in MuJoCo: collision"),
