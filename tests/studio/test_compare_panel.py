@@ -28,7 +28,7 @@ def histories(tmp_path: Path) -> dict[str, History]:
 
 @pytest.fixture
 def show(page: Page, histories: dict[str, History]) -> Callable[[], None]:
-    statuses = {name: (history.status, "") for name, history in histories.items()}
+    statuses: dict[str, tuple[Status, str]] = {name: (history.status, "") for name, history in histories.items()}
     return lambda: page.viewer.show(histories, statuses, NAME)
 
 
