@@ -461,7 +461,7 @@ def main() -> int:
             return 0  # whoever kept us in reserve is gone
         order = msgspec.json.decode(line)
         options.run, options.further = Path(order["run"]), order["further"]
-        options.from_start = order["from_start"]
+        options.from_start = order.get("from_start", False)
         _say_into(options.run / "trainer.log")
     if options.further is not None and options.further < 1:
         parser.error(f"--further must be at least 1, not {options.further}")

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 
-from morph_core.catalogue import METHODS, configured, read_method
+from morph_core.catalogue import METHODS, configured, make_task, read_method
 from morph_core.config import paths_of
 from morph_core.evaluate import evaluate_run
 from morph_core.explorations.design import Design
@@ -168,7 +168,7 @@ def read(runs: Path, method: str, config: dict[str, Any]) -> Method:
     """Return the method of a run whose run.json has these settings in format 1."""
     record = RunRecord(
         format=1, id=f"old-{time.monotonic_ns()}", task="reacher", method=method, seed=0, iterations=1, config=config,
-        parameters=[], versions={}, created=0.0,
+        parameters=list(make_task("reacher").design_space.parameters), versions={}, created=0.0,
     )  # fmt: skip
     return read_method(create_run(runs, record).record())
 
