@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -148,7 +149,8 @@ def test_what_is_in_a_file_and_not_in_the_design_is_found(bundle: dict[str, byte
 
 def test_a_reader_that_takes_too_long_is_ended(bundle: dict[str, bytes]) -> None:
     began = time.monotonic()
-    [check] = prove_apart(bundle, episodes=0, seconds=1)
+    dense = trimesh.creation.icosphere(subdivisions=7).export(file_type="stl")  # 330,000 triangles
+    [check] = prove_apart({**bundle, "parts/link_1.stl": dense}, episodes=0, seconds=1)
     assert "given up" in check.detail
     assert not check.passed
     assert time.monotonic() - began < 60

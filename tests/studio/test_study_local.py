@@ -207,13 +207,18 @@ def test_a_run_is_given_up_after_three_starts_that_got_no_further_and_the_rest_g
     assert History(RunFolder(directory / first)).status == "finished"
 
 
+def tended(local: Local, directory: Path, folder: RunFolder) -> int:
+    """Let the queue tend its runs, as it does again and again; return the iteration that one of them has reached."""
+    local.tend(directory)
+    return History(folder).iteration
+
+
 def test_a_run_that_gets_further_each_time_is_not_given_up(directory: Path) -> None:
     study = make_study(directory, 1)
     folder, local = RunFolder(directory / study.runs[0].run), Local(1, spawner("stumbling"))
     local.submit(directory, [folder.id])
     for reached in (1, 2, 3):  # each trainer dies after one iteration
-        local.tend(directory)
-        assert eventually(lambda reached=reached: History(folder).iteration >= reached, 30)
+        assert eventually(lambda reached=reached: tended(local, directory, folder) >= reached, 30)
         assert eventually(lambda: not local.tend(directory) and read_launch(folder.path), 30)
         assert eventually(lambda: len(journal(directory)) % 2 == 0, 30)
     launch = read_launch(folder.path)
