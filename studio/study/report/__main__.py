@@ -7,9 +7,8 @@ from pathlib import Path
 from studio.study.plan import StudyError
 from studio.study.report import check_extra
 
-
 _NICENESS = 10
-"""Beside trainers of a study, whose niceness is 5, it gets a quarter of a core; at 19 it got none and never came to an end."""
+"""Beside the trainers of a study, whose niceness is 5, it gets a quarter of a core; at 19 it came to no end there."""
 
 
 def main(directory: str, into: str) -> int:
