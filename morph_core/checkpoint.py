@@ -10,6 +10,7 @@ from safetensors.torch import load, save
 from torch import Tensor, nn
 
 from morph_core import durable, inside
+from morph_core.config import Alpha, check_value
 from morph_core.design import DesignSpace
 from morph_core.method import Method
 from morph_core.protocol import Parameter
@@ -73,7 +74,7 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Metho
         state.search_steps = facts.get("search_steps", 0)  # once counted among those of relabelling
         state.control_start, state.last_reached = facts["control_start"], facts["last_reached"]
         state.phi = space.check(facts["phi"])
-        state.alpha, state.projection = facts["alpha"], facts["projection"]
+        state.alpha, state.projection = _runnable(facts["alpha"], method), facts["projection"]
         state.fitted, state.frozen = facts["fitted"], facts["frozen"]
         state.rng.bit_generator.state = facts["rng"]
         state.memory.recall(facts.get("memory", {}))
@@ -82,6 +83,16 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Metho
         if not all_finite(state):
             raise ValueError("a weight or phi is infinite or NaN")
         return state, float(facts["cpu_seconds"])
+
+
+def _runnable(alpha: float, method: Method) -> float:
+    """Return the alpha of a checkpoint, or that of the method where no iteration can be run with it: versions without
+    an upper bound accepted any."""
+    try:
+        check_value("alpha", Alpha, alpha)
+    except ValueError:
+        return method.steering[0]
+    return alpha
 
 
 def load_newest(folder: RunFolder, task: Task, method: Method) -> tuple[tuple[State, float] | None, list[str]]:

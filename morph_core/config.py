@@ -1,6 +1,7 @@
 """Settings: frozen dataclasses that check themselves, each number with its range beside it."""
 
 import dataclasses
+import functools
 import math
 import typing
 from collections.abc import Iterator
@@ -13,15 +14,29 @@ Projection = Literal["none", "one_sided", "as_printed"]
 Utility = Literal["standardised", "log_rank"]
 InitialWeights = Literal["uniform", "orthogonal"]
 
-LARGEST = 2**53
+LARGEST = 2**53 - 1
 """The largest whole number, up to the sign: beyond it browsers and floats no longer tell them apart."""
 
-Count = Annotated[int, Meta(ge=1)]
-CountOrNone = Annotated[int, Meta(ge=0)]
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
-Share = Annotated[float, Meta(ge=0, le=1)]
-Fraction = Annotated[float, Meta(gt=0, le=1)]
+
+def most(largest: float, why: str) -> Meta:
+    """Return the upper end of a field's range, with the reason for it in words that follow a colon."""
+    return Meta(le=largest, description=why)
+
+
+_ROOM = most(1e6, "what is larger is a slip of the keyboard; a field that needs more says so")
+Count = Annotated[int, Meta(ge=1), _ROOM]
+CountOrNone = Annotated[int, Meta(ge=0), _ROOM]
+Positive = Annotated[float, Meta(gt=0), _ROOM]
+NotNegative = Annotated[float, Meta(ge=0), _ROOM]
+Share = Annotated[float, Meta(ge=0), most(1, "it is a share")]
+Fraction = Annotated[float, Meta(gt=0), most(1, "it is a share")]
+LARGEST_WEIGHT = most(1e6, "networks learn returns of order one, in single precision")
+"""The upper end of what a term of the reward may weigh."""
+LARGEST_ALPHA = 1e6
+Alpha = Annotated[
+    NotNegative, most(LARGEST_ALPHA, "Eq. 2 is summed in single precision, which would keep nothing of the task")
+]
+"""What alpha may be, when a run starts and when a user changes it."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +60,22 @@ def kinds_of(kind: type) -> dict[str, Any]:
 
 
 def range_of(annotation: Any) -> tuple[Any, Meta | None]:
-    """Return the bare type of an annotation and its range, if it has one."""
+    """Return the bare type of an annotation and its range, if it has one: of several, what a later one says counts."""
     if typing.get_origin(annotation) is not Annotated:
         return annotation, None
     bare, *more = typing.get_args(annotation)
-    return bare, next((m for m in more if isinstance(m, Meta)), None)
+    metas = [m for m in more if isinstance(m, Meta)]
+    return bare, functools.reduce(_narrowed, metas) if metas else None
+
+
+def _narrowed(wide: Meta, narrow: Meta) -> Meta:
+    """Return a range with the ends of `narrow`, and those of `wide` where that has none."""
+    lower = wide if narrow.ge is None and narrow.gt is None else narrow
+    upper = wide if narrow.le is None and narrow.lt is None else narrow
+    return Meta(
+        ge=lower.ge, gt=lower.gt, le=upper.le, lt=upper.lt, description=upper.description,
+        multiple_of=narrow.multiple_of or wide.multiple_of,
+    )  # fmt: skip
 
 
 def limits(meta: Meta | None) -> tuple[float | None, float | None]:
@@ -90,7 +116,8 @@ def _check_range(name: str, meta: Meta, value: float) -> None:
     below = lo is not None and (value < lo if meta.gt is None else value <= lo)
     above = hi is not None and (value > hi if meta.lt is None else value >= hi)
     if below or above:
-        raise ValueError(f"{name} must {_allowed(meta)}, not {value:g}")
+        why = f": {meta.description}" if above and meta.description else ""
+        raise ValueError(f"{name} must {_allowed(meta)}, not {value:.12g}{why}")
     if meta.multiple_of is not None and value % meta.multiple_of:
         raise ValueError(f"{name} must be a multiple of {meta.multiple_of}, not {value}")
 
@@ -101,8 +128,8 @@ def range_in_signs(meta: Meta | None) -> str:
     if meta is None or (lo is None and hi is None):
         return ""
     low, high = (">" if meta.ge is None else "\u2265"), ("<" if meta.le is None else "\u2264")
-    ends = [f"{low} {lo:g}"] if lo is not None else []
-    ends += [f"{high} {hi:g}"] if hi is not None else []
+    ends = [f"{low} {lo:.12g}"] if lo is not None else []
+    ends += [f"{high} {hi:.12g}"] if hi is not None else []
     return ", ".join(ends + ([f"a multiple of {meta.multiple_of}"] if meta.multiple_of else []))
 
 
@@ -110,12 +137,12 @@ def _allowed(meta: Meta) -> str:
     """Return the range in words, to follow "must"."""
     lo, hi = limits(meta)
     if lo is not None and hi is not None:
-        return f"lie in {'[' if meta.gt is None else '('}{lo:g}, {hi:g}{']' if meta.lt is None else ')'}"
+        return f"lie in {'[' if meta.gt is None else '('}{lo:.12g}, {hi:.12g}{']' if meta.lt is None else ')'}"
     if hi is not None:
-        return f"be {'at most' if meta.lt is None else 'below'} {hi:g}"
+        return f"be {'at most' if meta.lt is None else 'below'} {hi:.12g}"
     if lo == 0:
         return "not be negative" if meta.gt is None else "be positive"
-    return f"be {'at least' if meta.gt is None else 'above'} {lo:g}"
+    return f"be {'at least' if meta.gt is None else 'above'} {lo:.12g}"
 
 
 def _a(noun: str) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from morph_core.config import NotNegative, Projection, check_value
+from morph_core.config import Alpha, Projection, check_value
 from morph_core.design import DesignSpace
 from morph_core.history import InForce
 from morph_core.protocol import InjectDesign, Lock, SetAlpha, SetBound, SetProjection, Unlock
@@ -33,7 +33,7 @@ def edited(task: Task, in_force: InForce, command: AnyEdit) -> Edit:
     space, phi = in_force.space, in_force.phi
     match command:
         case SetAlpha(alpha=alpha):
-            check_value("alpha", NotNegative, alpha)
+            check_value("alpha", Alpha, alpha)
             return Edit(dataclasses.replace(in_force, alpha=float(alpha)), f"alpha is {alpha:g}", False)
         case SetProjection(projection=rule):
             check_value("projection", Projection, rule)

@@ -35,9 +35,6 @@ from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError
 
 STARTS_WITHIN = 10.0
 """Seconds after its creation in which a run has a heartbeat, unless it is queued."""
-
-LARGEST_COUNT = 2**53
-"""What every whole number of a run is below: a browser holds no larger ones."""
 _HOLDS = Pause | StepIteration
 """The commands after which a run holds."""
 
@@ -132,8 +129,6 @@ class History:
                 f"event {event.seq} of {self.folder.id} can't be read: it has {given} design parameters, and the run "
                 f"{len(self.record.parameters)}"
             )
-        if not 0 <= event.iteration < LARGEST_COUNT:
-            raise RunFolderError(f"event {event.seq} of {self.folder.id} can't be read: it is of no iteration")
 
     def _compare_processors(self, event: StateChanged) -> None:
         if not event.processor:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from msgspec import Meta
 
-from morph_core.config import Count, Projection, Settings
+from morph_core.config import Count, Projection, Settings, most
 from morph_core.exploration import Notes
 from morph_core.parts import Evaluation, Ppo, ProxyFit, Schedule
 from morph_core.protocol import Progress
@@ -30,9 +30,9 @@ class Method(Settings, ABC):
     has a symbol for a setting, the setting's docstring begins with it.
     """
 
-    trajectories: Annotated[int, Meta(ge=2, multiple_of=2)] = 128
+    trajectories: Annotated[int, Meta(ge=2, multiple_of=2), most(16_384, "a rollout is kept in memory whole")] = 128
     """H: episodes sampled per iteration; even, because designs are explored in antithetic pairs."""
-    hidden: Count = 64
+    hidden: Annotated[Count, most(2048, "wider layers take seconds for a single gradient step on one core")] = 64
     """Width of both hidden layers of policy, critic and proxy."""
     schedule: Schedule = Schedule()
     """Schedule by which learning rates and noises fall."""

@@ -4,11 +4,18 @@ Event = kept, in order. Snapshot = may be replaced by a newer one. Command = fro
 """
 
 import re
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import msgspec
 
-from morph_core.config import Projection
+from morph_core.config import LARGEST, Projection
+
+Whole = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
+"""A number of something: browsers hold no larger ones, and nothing is counted below zero."""
+Measure = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
+"""A value of a design parameter in its unit: no robot has larger ones."""
+Rate = Annotated[float, msgspec.Meta(ge=0, le=1)]
+"""A share of episodes."""
 
 Status = Literal[
     "queued", "starting", "running", "pausing", "paused", "stopped", "finished", "failed", "lost", "unreadable"
@@ -21,15 +28,15 @@ class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     name: str
     unit: str
-    lo: float
-    hi: float
-    initial: float
-    hard_lo: float
+    lo: Measure
+    hi: Measure
+    initial: Measure
+    hard_lo: Measure
     """Lower end of the task's own box, inside which `lo` and `hi` may be edited."""
-    hard_hi: float
-    scale: float = 1.0
+    hard_hi: Measure
+    scale: Measure = 1.0
     """Typical change of the parameter: the unit of exploration and of the search's sigma0."""
-    locked_at: float | None = None
+    locked_at: Measure | None = None
     group: str = ""
     """Name of the group of parameters that share part of their noise when designs are explored; empty for none."""
     part: str = ""
@@ -57,6 +64,13 @@ class StepIteration(Command, tag="step", frozen=True):
 
 class Stop(Command, tag="stop", frozen=True):
     """Save a checkpoint and end the trainer; the run can be resumed."""
+
+
+class Kill(Command, tag="kill", frozen=True):
+    """End the trainer at once, without a checkpoint: what came after the newest one is done again at a resume.
+
+    The studio on the trainer's machine does it; a trainer is never asked.
+    """
 
 
 class Checkpoint(Command, tag="checkpoint", frozen=True):
@@ -99,7 +113,7 @@ class Unlock(Command, tag="unlock", frozen=True):
 class InjectDesign(Command, tag="inject_design", frozen=True):
     """Continue from this phi, in the order of the design space."""
 
-    phi: list[float]
+    phi: list[Measure]
 
 
 AnyCommand = (
@@ -107,6 +121,7 @@ AnyCommand = (
     | Resume
     | StepIteration
     | Stop
+    | Kill
     | Checkpoint
     | SetAlpha
     | SetProjection
@@ -120,7 +135,7 @@ AnyCommand = (
 class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A command in the inbox, under the number by which it will be acknowledged."""
 
-    id: int
+    id: Whole
     command: AnyCommand
     sender: str = ""
     """Words on who sent it and by which way, where that is known."""
@@ -132,7 +147,7 @@ class Order(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Event(msgspec.Struct, frozen=True, tag_field="kind", kw_only=True):
     """Base of all events; `seq` rises by one within a run, `time` is seconds since the epoch."""
 
-    seq: int = 0
+    seq: Whole = 0
     time: float = 0.0
 
 
@@ -140,7 +155,7 @@ class StateChanged(Event, tag="state", frozen=True):
     """The trainer entered `status`. After `starting`, progress beyond `iteration` is void (a resume rewinds)."""
 
     status: Status
-    iteration: int
+    iteration: Whole
     message: str = ""
     processor: str = ""
     """Model of the processor on which the trainer starts; with another one, results may differ in their last bits."""
@@ -151,13 +166,13 @@ class StateChanged(Event, tag="state", frozen=True):
 class Progress(Event, tag="progress", frozen=True):
     """One iteration of a method. A metric that is not defined in this iteration or method is None."""
 
-    iteration: int
-    env_steps: int
+    iteration: Whole
+    env_steps: Whole
     """Environment steps so far, on Hw-Phy and in the proxy's world alike."""
-    phi: list[float]
+    phi: list[Measure]
     episode_return: float
     """Mean undiscounted return of the iteration's trajectories, over the designs that were explored."""
-    success: float
+    success: Rate
     """Share of the iteration's trajectories that reached the goal."""
     policy_std: float
     design_sigma: float | None = None
@@ -176,14 +191,14 @@ class Progress(Event, tag="progress", frozen=True):
     projection: Projection | None = None
     frozen: bool = False
     """Whether phi stays as it is from here on, because episodes succeed often enough."""
-    control_start: int = 0
+    control_start: Whole = 0
     """The iteration after which policy and critic last started afresh; 0 for the first weights."""
-    relabelled_steps: int = 0
+    relabelled_steps: Whole = 0
     """Steps of Hw-Phy so far outside of trajectories and of the search for phi: fitting the proxy, relabelling, and
     what an exploration asks of designs. A run from before `search_steps` were told apart counts them here."""
-    search_steps: int = 0
+    search_steps: Whole = 0
     """Steps of Hw-Phy so far that the search for phi took."""
-    diverged: int = 0
+    diverged: Whole = 0
     """Episodes so far that were left out because their simulation diverged."""
     cpu_seconds: float = 0.0
     """CPU time of the trainer since its first iteration, all resumes summed."""
@@ -205,16 +220,16 @@ class Recorded(msgspec.Struct, frozen=True):
 class Evaluation(Event, tag="evaluation", frozen=True):
     """The policy on Hw-Phy with the present phi. `episode` names the file of its episodes, relative to the run."""
 
-    iteration: int
-    env_steps: int
-    phi: list[float]
-    sampled_success: float
+    iteration: Whole
+    env_steps: Whole
+    phi: list[Measure]
+    sampled_success: Rate
     sampled_return: float
-    deterministic_success: float
+    deterministic_success: Rate
     deterministic_return: float
-    milestones: dict[str, float] = {}
+    milestones: dict[str, Rate] = {}
     """Shares of the sampled episodes that reached each milestone before the goal, by the rule of success."""
-    diverged: int = 0
+    diverged: Whole = 0
     """Sampled episodes whose simulation diverged: they count as failures."""
     episode: str | None = None
     recorded: list[Recorded] = []
@@ -224,7 +239,7 @@ class Evaluation(Event, tag="evaluation", frozen=True):
     return_interval: tuple[float, float] | None = None
     """Interval of the mean return of the sampled policy, at 95 %; None in a run that did not write it down."""
     cpu_seconds: float = 0.0
-    episodes: int | None = None
+    episodes: Whole | None = None
     """Number of episodes of each kind, sampled and deterministic; None in a run that did not write it down."""
     final: bool = False
     """Whether this is the evaluation at the end of the run, over its `final_episodes`."""
@@ -233,8 +248,8 @@ class Evaluation(Event, tag="evaluation", frozen=True):
 class Acknowledged(Event, tag="command", frozen=True):
     """The trainer took a command: `accepted` and in force from `iteration` + 1 on, or refused with the reason."""
 
-    id: int
-    iteration: int
+    id: Whole
+    iteration: Whole
     accepted: bool
     command: AnyCommand
     message: str = ""
@@ -245,7 +260,7 @@ class Acknowledged(Event, tag="command", frozen=True):
 class DesignSpaceChanged(Event, tag="design_space", frozen=True):
     """The bounds or locks now in force."""
 
-    iteration: int
+    iteration: Whole
     parameters: list[Parameter]
 
 
@@ -270,10 +285,10 @@ class Heartbeat(msgspec.Struct, frozen=True):
     status: Status
     stage: str
     """Words for what is done: "loading", "fitting the proxy", "collecting and learning", "evaluating", "saving"."""
-    iteration: int
-    iterations: int
+    iteration: Whole
+    iterations: Whole
     """Iterations after which the run ends, estimated where its budget of environment steps ends it sooner."""
-    env_steps: int = 0
+    env_steps: Whole = 0
     eta_seconds: float | None = None
     message: str = ""
 
@@ -282,8 +297,8 @@ class Parent(msgspec.Struct, frozen=True):
     """The run and iteration that a run was branched from, or whose design it began with."""
 
     run: str
-    iteration: int
-    checkpoint: int | None = None
+    iteration: Whole
+    checkpoint: Whole | None = None
     """Iteration of the checkpoint that a branch took along: the nearest up to `iteration`; None for a run that took
     only a design."""
 
@@ -291,18 +306,18 @@ class Parent(msgspec.Struct, frozen=True):
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Content of run.json, which is written once: everything that is needed to run it again."""
 
-    format: int = 1
+    format: Whole = 1
     """Format of run.json: 1 has the settings as one flat list, 2 nested by part."""
     id: str
     task: str
     task_options: dict[str, object] = {}
     """Fields of the task's own dataclass that differ from its defaults (reacher: tunnel, z, ...)."""
     method: str
-    seed: int
-    iterations: int
-    env_steps: int | None = None
+    seed: Whole
+    iterations: Whole
+    env_steps: Whole | None = None
     """Budget of environment steps: the run ends after the iteration that reaches it, or after `iterations`."""
-    final_episodes: int = 0
+    final_episodes: Whole = 0
     """Episodes of each kind, sampled and deterministic, in the evaluation at the end of the run; 0 for none."""
     config: dict[str, object]
     parameters: list[Parameter]
@@ -311,14 +326,14 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     git_dirty: bool | None = None
     created: float
     parent: Parent | None = None
-    begins_at: int = 0
+    begins_at: Whole = 0
     """Iteration from which the run counts on: that of the checkpoint which a branch with its parent's method took."""
 
 
 class _Format(msgspec.Struct, frozen=True):
     """What any format of run.json says of itself."""
 
-    format: int = 1
+    format: Whole = 1
 
 
 _encoder = msgspec.json.Encoder()

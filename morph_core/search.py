@@ -3,11 +3,11 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
-from morph_core.config import Count, Settings
+from morph_core.config import Count, Settings, most
 from morph_core.design import DesignSpace
 from morph_core.divergence import squared_distance
 from morph_core.rollout import Rollout
@@ -72,7 +72,7 @@ class Problem:
 class Search(Settings, ABC):
     """How phi is searched for, so that Hw-Phy matches the proxy (Eq. 3)."""
 
-    pairs: Count = 512
+    pairs: Annotated[Count, most(65_536, "each candidate simulates them all at once")] = 512
     """Relabelled (s, a) pairs on which a candidate phi is compared with the proxy."""
 
     name: ClassVar[str]

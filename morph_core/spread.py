@@ -1,11 +1,11 @@
 """Designs drawn around phi: how widely, which of them can be built, and what the returns of their episodes count."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from morph_core.config import Positive, Settings, Share, Utility
+from morph_core.config import Positive, Settings, Share, Utility, most
 from morph_core.design import DesignSpace
 from morph_core.parts import Schedule
 
@@ -53,9 +53,9 @@ class Spread:
 class ExploredDesigns(Settings):
     """Designs that are tried around phi, and what each of their episodes counts."""
 
-    sigma: Positive = 1.2
+    sigma: Annotated[Positive, most(1000.0, "every design would lie on the edge of its box")] = 1.2
     """Sigma: spread of the designs drawn around phi at the start, in units of each parameter's scale."""
-    sigma_end: Positive = 0.2
+    sigma_end: Annotated[Positive, most(1000.0, "every design would lie on the edge of its box")] = 0.2
     """Sigma: spread of the designs at the end of the schedule, to which it falls geometrically, in units of each
     parameter's scale."""
     hold: Share = 0.0
@@ -64,7 +64,7 @@ class ExploredDesigns(Settings):
     """Share of the variance of the explored designs that the parameters of a group have in common."""
     utility: Utility = "standardised"
     """Rule by which returns become weights: standardised, or CMA-ES's log-rank weights."""
-    advantage_limit: Positive = 3.0
+    advantage_limit: Annotated[Positive, most(1000.0, "no standardised return of an iteration is larger")] = 3.0
     """Limit to which standardised returns are clipped, on both sides of 0."""
 
     def spread(self, schedule: Schedule, iteration: int, frozen: bool = False) -> Spread:

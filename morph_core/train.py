@@ -47,6 +47,7 @@ from morph_core.rollout import Rollout
 from morph_core.run_folder import EventLog, HeartbeatFile, HeldError, RunFolder, RunFolderError, hold, write_episode
 from morph_core.state import State
 from morph_core.task import Task
+from morph_core.undo import edits_since, take_back, unruly_alpha
 
 T = TypeVar("T")
 HEARTBEAT_SECONDS = 1.0
@@ -128,6 +129,19 @@ class Trainer:
         with contextlib.suppress(OSError):
             self._log.append(StateChanged(status="failed", iteration=self._iteration, message=reason))
 
+    def take_back(self, error: Exception) -> str:
+        """Take back the commands since the last iteration, with which the present one has failed; return the sentence.
+
+        Return nothing where there were none, or where it is not they that failed.
+        """
+        asked = [edit.message for edit in edits_since(History(self._folder))]
+        if not asked or isinstance(error, OSError | MemoryError | RunFolderError):
+            return ""
+        said = take_back(self._folder, self._task, read_method(self._record))
+        for event in said:
+            self._log.append(event)
+        return f"; taken back is what was asked for before it ({', '.join(asked)}): resume goes on" if said else ""
+
     def beat(self) -> None:
         """Rewrite the heartbeat; where the disk does not take this one, it will take a later one."""
         remaining = self._remaining_iterations()
@@ -197,6 +211,10 @@ class Trainer:
             )
         )  # fmt: skip
         self._write(DesignSpaceChanged(iteration=state.iteration, parameters=list(state.design_space.parameters)))
+        if taken_back := unruly_alpha(History(self._folder), state):
+            self._checkpoint(state)
+            for event in taken_back:
+                self._write(event)
         if newest is None and self._record.parent:
             self._checkpoint(state)  # what it took along can be evaluated, exported and branched from at once
         return state
@@ -343,6 +361,8 @@ class Trainer:
             case protocol.Stop():
                 self._stopping = True
                 return "stopping"
+            case protocol.Kill():
+                raise ValueError("a trainer does not end itself at once: send stop, or ask the studio on its machine")
             case protocol.Checkpoint():
                 return f"checkpoint of iteration {state.iteration} saved"
         return apply_edit(command, state, self._task)
@@ -411,7 +431,10 @@ def train(folder: RunFolder, further: int | None = None, until: int | None = Non
             return 1
         except Exception as error:
             traceback.print_exc()
-            trainer.fail(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
+            reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+            with contextlib.suppress(OSError, RunFolderError):  # then the run fails without it
+                reason += trainer.take_back(error)
+            trainer.fail(reason)
             return 1
         finally:
             ended.set()

@@ -56,6 +56,8 @@ from studio.what_if import WhatIfs
 
 SHOW_INTERVAL = 0.2
 """Seconds between two looks at the runs for the viewer."""
+QUEUE_INTERVAL = 1.0
+"""Seconds between two looks at the queue of runs that wait for a trainer."""
 _log = logging.getLogger(__name__)
 
 
@@ -140,7 +142,7 @@ def create_app(
     """
     reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
     what_ifs = WhatIfs(evaluator)
-    watched = runs or Runs(settings.runs, reserve.spawn, launcher)
+    watched = runs or Runs(settings.runs, reserve.spawn, launcher, settings.trainers)
     thumbnails = Thumbnails()
     album = Album(watched, thumbnails)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
@@ -165,6 +167,7 @@ def create_app(
             )
             painter.start()
             threading.Thread(target=watched.rows, name="first listing", daemon=True).start()
+            threading.Thread(target=keep_starting, args=(watched, done), name="queue", daemon=True).start()
             ends.callback(painter.join, 2.0)
             ends.callback(done.set)
             yield
@@ -210,6 +213,13 @@ def keep_showing(desks: Shows, runs: Runs, done: threading.Event) -> None:
             desks.show(histories, {name: runs.status(history) for name, history in histories.items()}, runs.shown)
             if (asked := runs.take_request()) is not None:
                 desks.turn_to(*asked)
+
+
+def keep_starting(runs: Runs, done: threading.Event) -> None:
+    """Start the runs that wait for a trainer, as soon as there is room, until `done` is set."""
+    while not done.wait(QUEUE_INTERVAL):
+        with _logged("starting what waits"):
+            runs.tend()
 
 
 @contextlib.contextmanager

@@ -6,10 +6,9 @@ import gzip
 import hmac
 import io
 import logging
-import math
 import secrets
 from importlib.resources import files
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import viser
@@ -24,7 +23,11 @@ from websockets.http11 import Request as UpgradeRequest
 from websockets.http11 import Response as UpgradeResponse
 from websockets.typing import Subprotocol
 
+from morph_core.config import LARGEST
 from studio.desks import KEY
+from studio.elements import element_of, settled
+from studio.seldom import Seldom
+from studio.uploads import Uploads
 
 MAX_MESSAGE = 1 << 20
 """Largest message that a browser may send, in bytes; the client's own are below 1 kB, but for parts of files."""
@@ -38,6 +41,8 @@ ALLOWED = frozenset(
 )  # fmt: skip
 """Kinds of messages that a browser may send to viser. Left out on purpose: share tunnels to another company's server,
 and whatever kind viser gets newly."""
+UPLOADS_LOOKED_AT = 10.0
+"""Seconds between two looks for uploads that take too long."""
 MAX_PARTS = 64
 """Largest number of parts of an uploaded file, of half a megabyte each; an exported design has a few."""
 
@@ -62,8 +67,28 @@ class UploadPart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransfe
     content: bytes
 
 
+Real = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
+Point = tuple[Real, Real, Real]
+
+
+class Camera(msgspec.Struct, frozen=True, tag_field="type", tag="ViewerCameraMessage"):
+    """Message by which a browser tells where its user looks from."""
+
+    wxyz: tuple[Real, Real, Real, Real]
+    position: Point
+    look_at: Point
+    up_direction: Point
+    image_height: Real
+    image_width: Real
+    fov: Real
+    near: Real
+    far: Real
+
+
 UPLOADS = frozenset({"FileTransferStartUpload", "FileTransferPart"})
 """Kinds of messages that are admitted where all their fields are as they should be."""
+_CHECKED = UploadStart | UploadPart | Camera
+_KINDS_CHECKED = UPLOADS | {"ViewerCameraMessage"}
 
 _STYLE = (
     b"<style>.u-legend .u-value,.u-legend th::after{visibility:hidden}"
@@ -105,6 +130,44 @@ class GuardedViser:
             raise RuntimeError(f"viser {viser.__version__} did not take the guard: refusing to open it")
         self.port = self.server.get_port()
         self.address = f"ws://127.0.0.1:{self.port}{secret.decode()}"
+        self.uploads = Uploads(self._forget)
+        self.dropped = Seldom(_log)
+        """Warning about messages that were not passed on."""
+
+    def passed_on(self, message: bytes, browser: object) -> bytes | None:
+        """Return what viser gets of a message of a browser; None where it gets nothing.
+
+        A number just outside the range of its element, as rounding leaves it, is the end of that range.
+        """
+        content = admit(message)
+        if content is None:
+            return None
+        match content["type"]:
+            case "GuiUpdateMessage":
+                return self._settled(message, content)
+            case "FileTransferStartUpload":
+                size, parts = content["size_bytes"], content["part_count"]
+                return message if self.uploads.begin(content["transfer_uuid"], browser, size, parts) else None
+            case "FileTransferPart":
+                size = len(content["content"])
+                return message if self.uploads.take(content["transfer_uuid"], browser, size) else None
+        return message
+
+    def _settled(self, message: bytes, content: dict[str, Any]) -> bytes | None:
+        element = element_of(self.server, content.get("uuid"))
+        if element is None or "value" not in content["updates"]:
+            return None
+        given = content["updates"]["value"]
+        try:
+            value = settled(element, given)
+        except ValueError:
+            return None
+        return message if value == given else msgspec.msgpack.encode(content | {"updates": {"value": value}})
+
+    def _forget(self, transfer: str) -> None:
+        """Take what has come of an upload out of viser, which keeps it until the last part."""
+        for gui in (self.server.gui, *(client.gui for client in self.server.get_clients().values())):
+            gui._current_file_upload_states.pop(transfer, None)
 
     def stop(self) -> None:
         """Close the port and all connections."""
@@ -117,36 +180,38 @@ def _silence() -> contextlib.AbstractContextManager[object]:
     return contextlib.redirect_stdout(io.StringIO())
 
 
-def admit(message: bytes) -> bool:
-    """Tell whether a browser's message may reach viser, which itself checks neither kinds nor fields nor numbers."""
+def admit(message: bytes) -> dict[str, Any] | None:
+    """Return the content of a browser's message that may reach viser, which checks neither kinds nor fields nor
+    numbers; None for any other."""
     try:
         content = msgspec.msgpack.decode(message)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError):
-        return False
-    if not isinstance(content, dict) or content.get("type") not in ALLOWED | UPLOADS or not _is_finite(content):
-        return False
-    if content["type"] in UPLOADS:
+        return None
+    if not isinstance(content, dict) or content.get("type") not in ALLOWED | UPLOADS or not _can_be_held(content):
+        return None
+    if content["type"] in _KINDS_CHECKED:
         try:
-            msgspec.convert(content, UploadStart | UploadPart)
+            msgspec.convert(content, _CHECKED)
         except msgspec.ValidationError:
-            return False
+            return None
     if content["type"] == "GuiUpdateMessage":  # viser sets any attribute of that name
         updates = content.get("updates")
-        return isinstance(updates, dict) and set(updates) <= {"value"}
-    return True
+        return content if isinstance(updates, dict) and set(updates) <= {"value"} else None
+    return content
 
 
-def _is_finite(value: object) -> bool:
-    if isinstance(value, float):
-        return math.isfinite(value)
+def _can_be_held(value: object) -> bool:
+    """Tell whether every number in it is one that viser can hand on to any browser."""
+    if isinstance(value, int | float):
+        return abs(value) <= LARGEST
     if isinstance(value, dict):
-        return all(_is_finite(item) for item in value.values())
+        return all(_can_be_held(key) and _can_be_held(item) for key, item in value.items())
     if isinstance(value, list):
-        return all(_is_finite(item) for item in value)
+        return all(_can_be_held(item) for item in value)
     return True
 
 
-async def relay(browser: WebSocket, address: str) -> None:
+async def relay(browser: WebSocket, guarded: GuardedViser, address: str) -> None:
     """Copy messages between a browser and viser at `address`, both ways, until either side leaves."""
     versions = [Subprotocol(name) for name in browser.scope["subprotocols"] if name.startswith("viser-v")]
     try:
@@ -167,14 +232,21 @@ async def relay(browser: WebSocket, address: str) -> None:
             if message["type"] == "websocket.disconnect":
                 return
             content = message.get("bytes")
-            if content is not None and len(content) <= MAX_MESSAGE and admit(content):
-                await upstream.send(content)
+            is_short = content is not None and len(content) <= MAX_MESSAGE
+            passed = guarded.passed_on(content, browser) if is_short else None
+            if passed is None:
+                guarded.dropped.warn("dropped a message that a browser may not send to the viewer")
             else:
-                _log.warning("dropped a message that a browser may not send to the viewer")
+                await upstream.send(passed)
+
+    async def give_up() -> None:
+        while True:
+            await asyncio.sleep(UPLOADS_LOOKED_AT)
+            guarded.uploads.give_up_late()
 
     async with upstream:
         await browser.accept(subprotocol=upstream.subprotocol)
-        tasks = {asyncio.create_task(down()), asyncio.create_task(up())}
+        tasks = {asyncio.create_task(work()) for work in (down, up, give_up)}
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -183,6 +255,7 @@ async def relay(browser: WebSocket, address: str) -> None:
             for ended in await asyncio.gather(*tasks, return_exceptions=True):
                 if isinstance(ended, Exception) and not isinstance(ended, ConnectionClosed | WebSocketDisconnect):
                     _log.warning("the viewer's connection ended: %r", ended)
+            guarded.uploads.leave(browser)
     with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # closed by the browser already
         await browser.close(upstream.close_code or 1000, upstream.close_reason or "")
 
@@ -217,7 +290,7 @@ def viewer_router() -> APIRouter:
     @router.websocket("/viewer")
     @router.websocket("/viewer/{key}")
     async def bridge(browser: WebSocket, key: str = "") -> None:
-        address = browser.app.state.viser.address
-        await relay(browser, f"{address}?{key}" if KEY.fullmatch(key) else address)
+        guarded: GuardedViser = browser.app.state.viser
+        await relay(browser, guarded, f"{guarded.address}?{key}" if KEY.fullmatch(key) else guarded.address)
 
     return router

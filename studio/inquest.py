@@ -1,5 +1,7 @@
 """Why a trainer is dead: what its own log, its exit status and those who saw it alive say."""
 
+import contextlib
+import os
 import platform
 import signal
 import subprocess
@@ -7,12 +9,17 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import psutil
+
 from morph_core import inside
 from morph_core.history import History
 from morph_core.protocol import StateChanged, Status
-from morph_core.run_folder import SAID_ENDED, SMALL_BYTES, RunFolder
+from morph_core.run_folder import SAID_ENDED, SMALL_BYTES, RunFolder, process_alive
 
 _LOG_TAIL = 4096
+KILLED_WITHIN = 5.0
+"""Seconds in which a process that is killed is gone."""
+KILLED = "ended at once, as a user asked; resume goes on from its newest checkpoint"
 
 
 @dataclass(frozen=True)
@@ -44,11 +51,13 @@ def start_child(folder: RunFolder, spawn: Callable[[], subprocess.Popen[bytes]])
 
 def cause_of_death(folder: RunFolder, code: int | None, log_start: int = 0) -> str:
     """Say why a trainer ended: the signal that killed it, or the last line of its log; `code` None is not known."""
+    last = _last_line(folder, log_start)
+    if last == KILLED:
+        return KILLED
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
         hint = " (perhaps out of memory)" if name == "SIGKILL" else ""
         return f"the trainer was killed by {name}{hint}; resume goes on from its newest checkpoint"
-    last = _last_line(folder, log_start)
     if code is None:
         return "the trainer died" + (f": {last}" if last else "; resume goes on from its newest checkpoint")
     return last or f"the trainer ended with exit status {code} and without a word"
@@ -62,6 +71,14 @@ def _last_line(folder: RunFolder, start: int) -> str:
     except OSError:
         return ""
     return next((line.strip()[:500] for line in reversed(lines) if line.strip()), "")
+
+
+def _note(folder: RunFolder, sentence: str) -> None:
+    """Write a line into the trainer's log, for whoever else watches the run."""
+    with contextlib.suppress(OSError):
+        log = inside.open_plain(folder.path, "trainer.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        with os.fdopen(log, "ab") as file:
+            file.write(f"\n{sentence}\n".encode())
 
 
 def _log_size(folder: RunFolder) -> int:
@@ -135,6 +152,28 @@ class Inquest:
         if child is not None and child.process.poll() is None:
             return True
         return self._verdict(history) is None and history.pulse.is_alive
+
+    def kill(self, history: History) -> None:
+        """End the trainer of a run at once; ValueError where it is not one of this machine, or does not go."""
+        run_id, child, beat = history.folder.id, self._children.get(history.folder.id), history.heartbeat
+        if child is not None and child.process.poll() is None:
+            pid = child.process.pid
+        elif beat and beat.host == platform.node() and process_alive(beat.pid, beat.process_started):
+            pid = beat.pid
+        else:
+            raise ValueError(f"{run_id} has no trainer on this machine that could be ended")
+        with contextlib.suppress(psutil.NoSuchProcess):
+            trainer = psutil.Process(pid)
+            trainer.kill()
+            _, alive = psutil.wait_procs([trainer], timeout=KILLED_WITHIN)
+            if alive:
+                raise ValueError(f"the trainer of {run_id} (process {pid}) does not end: it waits for the system")
+        if child is not None:
+            child.process.poll()
+        _note(history.folder, KILLED)
+        self._children.pop(run_id, None)
+        self._seen_alive.pop(run_id, None)
+        self._find(history, KILLED)
 
     def _look_at_stranger(self, history: History) -> None:
         """Follow a trainer that was adopted, or started by someone else, as long as its process is on this machine."""

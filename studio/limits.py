@@ -1,9 +1,18 @@
 """How large the numbers of a new run may be: the same for form, API and command line."""
 
+import os
+
 LARGEST_SEED = 2**32 - 1
 MAX_ITERATIONS = 1_000_000
+LAST_ITERATION = 10 * MAX_ITERATIONS  # a branch counts on from its parent
 MAX_ENV_STEPS = 10**12
 MAX_FINAL_EPISODES = 100_000
+MAX_TRAINERS = 1024
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def whole(name: str, value: object, lo: int, hi: int) -> int:

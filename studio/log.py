@@ -13,6 +13,7 @@ from morph_core.protocol import (
     AnyCommand,
     Checkpoint,
     InjectDesign,
+    Kill,
     Lock,
     Pause,
     Resume,
@@ -104,6 +105,8 @@ def describe(command: AnyCommand, space: DesignSpace) -> str:
             return "one step"
         case Stop():
             return "stopped"
+        case Kill():
+            return "ended at once"
         case Checkpoint():
             return "checkpoint saved"
 

@@ -16,7 +16,7 @@ from morph_core.design import DesignSpace
 from morph_core.history import History
 from morph_core.method import Method
 from morph_core.origin import Origin, origin_at
-from morph_core.protocol import FORMAT, Parameter, Parent, RunRecord
+from morph_core.protocol import FORMAT, Parameter, Parent, RunRecord, Whole
 from morph_core.run_folder import RunFolder, RunFolderError, create_run, find_run, new_run_id
 from morph_core.task import Task
 from studio import limits
@@ -46,7 +46,7 @@ class Branch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The place in a run of the same folder from which a new run begins, with what was learnt up to there."""
 
     run: str
-    iteration: Annotated[int, msgspec.Meta(ge=0)] | None = None
+    iteration: Whole | None = None
     """Iteration of that run, by default its last one; the nearest checkpoint up to there is taken."""
 
 

@@ -1,6 +1,7 @@
 """The runs of one folder: start, adopt and watch their trainers, and pass on commands."""
 
 import contextlib
+import platform
 import shutil
 import subprocess
 import threading
@@ -9,25 +10,39 @@ from pathlib import Path
 
 import msgspec
 
+from morph_core import inside
 from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.history import History
 from morph_core.inside import NotPlainError
-from morph_core.protocol import AnyCommand, AnyEvent, Evaluation, Parent, Resume, RunRecord, StateChanged, Status, Stop
+from morph_core.protocol import (
+    AnyCommand,
+    AnyEvent,
+    Evaluation,
+    Kill,
+    Parent,
+    Resume,
+    RunRecord,
+    StateChanged,
+    Status,
+    Stop,
+)
 from morph_core.pulse import Pulse, at_work
 from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs, passed_over
 from studio import limits
 from studio.commands import check_command
 from studio.inquest import Inquest
 from studio.new_run import StartRun, prepare_run
+from studio.overdue import forget_stops, kill_is_offered, stop_waits
 from studio.shelf import trash
 from studio.shelf.marks import FILE, Marks, MarksChange, changed, read_marks, with_star, write_marks
 from studio.shelf.outcome import Outcome, evaluations_of, landmarks, outcome_of
 from studio.shelf.trash import Trashed
-from studio.study.local import CANCELLED
+from studio.study.local import CANCELLED, launcher_of
 from studio.study.slurm import Slurm, slurm_launch
 from studio.study.slurm_queue import SlurmError
 from studio.trainers import spawn_trainer
+from studio.waiting import Wait, Waiting
 
 WATCHED = 20
 """Number of the newest runs that browsers are offered, beside those that run and those they show."""
@@ -36,6 +51,7 @@ KEPT = 40
 LONGEST_REASON = 500
 """Largest number of characters of the reason why a run can't be read."""
 _EVENTS_TAIL = 65536
+_HAS_TRAINER: tuple[Status, ...] = ("starting", "running", "pausing", "paused")
 _AT_REST: tuple[Status, ...] = (*SAID_ENDED, "lost", "unreadable")
 """States of a run that no trainer is at work on, and none is to be."""
 _TOLD_BY_SLURM: tuple[Status, ...] = ("queued", "stopped", "failed", "lost")
@@ -80,8 +96,12 @@ class Runs:
         folder: Path,
         spawn: Callable[..., subprocess.Popen[bytes]] = spawn_trainer,
         launcher: Slurm | None = None,
+        trainers: int | None = None,
     ) -> None:
-        """Take the runs of `folder`. New ones are started by `launcher`, by default as processes of this machine."""
+        """Take the runs of `folder`. New ones are started by `launcher`, by default as processes of this machine.
+
+        While `trainers` are at work on this machine, whoever has started them, further runs wait; None lets none wait.
+        """
         self.folder = folder
         self.shown: str | None = None
         """The run that a browser opens which has chosen none; None for the start panel."""
@@ -99,6 +119,9 @@ class Runs:
         self._outcomes: dict[str, tuple[int, Outcome]] = {}
         self._marks: dict[str, tuple[int, Marks]] = {}
         self._inquest = Inquest()
+        self._trainers = trainers
+        self._waiting = Waiting(folder)
+        self._starting = threading.Lock()  # so that no two take the last place
 
     # --- reading ---
 
@@ -117,7 +140,14 @@ class Runs:
     def status(self, history: History) -> tuple[Status, str]:
         """Return what the run does and why, including what only a witness of its trainer's death can know."""
         with self._turn(history.folder.id):
-            return self._in_queue(history.folder, *self._inquest.status(history))
+            status, reason = self._in_queue(history.folder, *self._inquest.status(history))
+        if status in _HAS_TRAINER and kill_is_offered(history.folder):
+            reason = (
+                f"asked to stop {stop_waits(history.folder):.0f} s ago and still in iteration {history.iteration + 1}; "
+                f"to end it at once: Kill, or morph-studio stop {history.folder.id} --kill "
+                "(what came after its newest checkpoint is then done again)"
+            )
+        return status, reason
 
     def ask_slurm(self) -> None:
         """Find out where the runs in Slurm's queue are, and wait for the answer; else it is found out meanwhile."""
@@ -285,10 +315,24 @@ class Runs:
                 shutil.rmtree(folder.path)
                 raise
         else:
-            with self._turn(folder.id):
-                self._launch(folder)
+            with self._starting:
+                self._begin(folder)
         self.shown = folder.id
         return folder.id
+
+    def tend(self) -> None:
+        """Start what waits for a trainer, in order, as far as there is room."""
+        if not self._waiting.all():
+            return
+        with self._starting:
+            while (waiting := self._waiting.all()) and self._has_room():
+                first = waiting[0]
+                if not self._waiting.take(first.run):
+                    continue
+                with contextlib.suppress(RunFolderError):  # removed while it waited
+                    folder = find_run(self.folder, first.run)
+                    with self._turn(folder.id):
+                        self._launch(folder, first.further, first.from_start)
 
     def resume(self, run_id: str, further: int | None = None, from_start: bool = False) -> None:
         """Start a trainer that goes on from the newest checkpoint; ValueError if one is at work or nothing is left.
@@ -300,20 +344,22 @@ class Runs:
             further = limits.iterations(further, "further")
         folder = find_run(self.folder, run_id)
         watched = not self.get(run_id).pulse.is_alive and at_work(folder.heartbeat)  # before it is anybody's turn
-        with self._turn(run_id):
+        with self._starting, self._turn(run_id):
             history = self.get(run_id)
             status, _ = self.status(history)
             if watched or self._inquest.is_alive(history):
                 raise ValueError(f"{run_id} has a trainer already and is {status}; send it the command resume instead")
             if status == "queued" and slurm_launch(history.folder):
                 raise ValueError(f"{run_id} is in Slurm's queue already: {self.status(history)[1]}")
+            if self._waiting.place(run_id):
+                raise ValueError(f"{run_id} waits already: {self.status(history)[1]}")
             if status == "finished" and further is None:
                 raise ValueError(f"{run_id} has finished: say how many iterations it shall do further")
             queued = slurm_launch(history.folder)
             if queued and from_start:
                 raise ValueError(f"{run_id} came from Slurm's queue, from which none begins anew: start a new run")
             if not queued:
-                self._launch(history.folder, further, from_start)
+                self._begin(history.folder, further, from_start)
         if queued:
             until = history.iteration + further if further is not None else None
             self._slurm.resume(self.folder, run_id, until=until)
@@ -325,9 +371,18 @@ class Runs:
         """Put a command into the run's inbox and return its id; ValueError, the run unchanged, if it is no good.
 
         `sender` says in words who sends it and by which way, for the log.
-        Stop takes a run that waits out of Slurm's queue, which no trainer acknowledges: then the id is 0.
+        Kill ends its trainer, and Stop takes a run that waits out of the queue; that no trainer acknowledges: the id
+        is 0.
         """
         history = self.get(run_id)
+        if isinstance(command, Kill | Stop) and self._waiting.take(run_id):
+            inside.touch(history.folder.path, CANCELLED)
+            return 0
+        if isinstance(command, Kill):
+            with self._turn(run_id):
+                self._inquest.kill(history)
+                forget_stops(history.folder)
+            return 0
         task = make_task(history.record.task, history.record.task_options)
         command = check_command(command, history.in_force, task)
         with self._turn(run_id):
@@ -341,11 +396,45 @@ class Runs:
             return 0
         return history.folder.send(command, sender)
 
+    def _begin(self, folder: RunFolder, further: int | None = None, from_start: bool = False) -> None:
+        """Start a trainer, or let the run wait where as many are at work as may be, or others wait.
+
+        Whoever calls this is the only one that starts any.
+        """
+        if not launcher_of(folder.path):
+            (folder.path / CANCELLED).unlink(missing_ok=True)
+        if self._waiting.all() or not self._has_room(folder.id):
+            self._waiting.add(Wait(folder.id, further, from_start))
+            return
+        with self._turn(folder.id):
+            self._launch(folder, further, from_start)
+
+    def _has_room(self, besides: str = "") -> bool:
+        """Tell whether one more trainer may be started on this machine; the run `besides` has none yet."""
+        return (
+            self._trainers is None
+            or sum(self._is_at_work(run) for run in self.ids() if run != besides) < self._trainers
+        )
+
+    def _is_at_work(self, run_id: str) -> bool:
+        """Tell whether a run has a trainer on this machine."""
+        try:
+            if self.summary(run_id).status not in _HAS_TRAINER:
+                return False
+            beat = self.get(run_id).heartbeat
+        except RunFolderError:
+            return False
+        return beat is None or beat.host == platform.node()
+
     def _launch(self, folder: RunFolder, further: int | None = None, from_start: bool = False) -> None:
         self._inquest.begin(folder, lambda: self._spawn(folder, further=further, from_start=from_start))
 
     def _in_queue(self, folder: RunFolder, status: Status, reason: str) -> tuple[Status, str]:
-        """Return what a run does and why, with what Slurm says of it where its folder can't tell."""
+        """Return what a run does and why, with what the queue, or Slurm, says of it where its folder can't tell."""
+        if status not in ("running", "pausing", "paused") and (place := self._waiting.place(folder.id)):
+            return "queued", f"number {place} in the queue: {self._trainers or 'enough'} trainers are at work already"
+        if status == "lost" and (folder.path / CANCELLED).exists() and not folder.read_events()[0]:
+            return "stopped", "taken out of the queue before it had begun; Resume starts it"
         launch = slurm_launch(folder) if status in _TOLD_BY_SLURM else None
         if launch is None:
             return status, reason

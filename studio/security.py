@@ -1,13 +1,16 @@
 """Whom the server lets in, on every route and websocket: the name it is called by, the page that asks, the token."""
 
 import base64
+import collections
 import contextlib
 import hashlib
 import hmac
 import html
+import logging
 import os
 import secrets
 import threading
+import time
 from collections.abc import Callable, Iterable
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
@@ -17,8 +20,10 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from studio.seldom import Seldom
 from studio.settings import Settings
 
+_log = logging.getLogger(__name__)
 OPEN_PATHS = frozenset({"/healthz"})
 """Paths that need no token. Host and Origin are checked for them too."""
 PAGES = ("/", "/study")
@@ -28,6 +33,9 @@ PAGE_CSP = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
     "frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'self'"
 )
+MOST_GUESSES, MOST_GUESSES_OF_ALL, GUESSED_WITHIN = 20, 200, 60.0
+"""Wrong tokens of one address, and of all together, in so many seconds, after which none is looked at. Who has the
+cookie is let in all the same."""
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -36,6 +44,28 @@ _HEADERS = {
     "Content-Security-Policy": PAGE_CSP,
     "Cache-Control": "no-store",
 }
+
+
+class Guesses:
+    """Wrong tokens of the last minute, by the address that they came from."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._wrong: collections.deque[tuple[float, str]] = collections.deque()
+
+    def note(self, address: str) -> None:
+        """Remember a wrong token."""
+        with self._lock:
+            self._wrong.append((self._clock(), address))
+
+    def are_too_many(self, address: str) -> bool:
+        """Tell whether no further token of this address is looked at for now."""
+        with self._lock:
+            while self._wrong and self._clock() - self._wrong[0][0] >= GUESSED_WITHIN:
+                self._wrong.popleft()
+            own = sum(other == address for _, other in self._wrong)
+            return own >= MOST_GUESSES or len(self._wrong) >= MOST_GUESSES_OF_ALL
 
 
 class Access:
@@ -50,6 +80,9 @@ class Access:
         key = settings.token.encode() if settings.token else kept_key(settings.state)
         self._cookie = hmac.new(key, b"morph-studio cookie", hashlib.sha256).hexdigest()
         self._lock = threading.Lock()
+        self.guesses = Guesses()
+        self.refused_sockets = Seldom(_log)
+        """Warning about websockets that were refused."""
         self.on_ticket_used: Callable[[], None] = lambda: None
         """Function to call after the one-time ticket was used; `ticket` is a new one by then."""
 
@@ -74,16 +107,25 @@ class Access:
         self.on_ticket_used()
         return True
 
-    def knows(self, headers: Headers) -> bool:
-        """Tell whether the request carries the cookie, or the token where one was given."""
-        scheme, _, bearer = headers.get("authorization", "").partition(" ")
-        if self._token is not None and scheme.lower() == "bearer" and _same(bearer.strip(), self._token):
-            return True
+    def has_cookie(self, headers: Headers) -> bool:
+        """Tell whether the request carries the cookie."""
         try:
             morsel = SimpleCookie(headers.get("cookie", "")).get(self.cookie_name)
         except CookieError:
             return False
         return morsel is not None and _same(morsel.value, self._cookie)
+
+    def knows(self, headers: Headers, address: str) -> bool:
+        """Tell whether the request carries the cookie, or the token where one was given; a wrong token is noted."""
+        if self.has_cookie(headers):
+            return True
+        scheme, _, bearer = headers.get("authorization", "").partition(" ")
+        if scheme.lower() != "bearer":
+            return False
+        if self._token is not None and _same(bearer.strip(), self._token):
+            return True
+        self.guesses.note(address)
+        return False
 
     def refusal(self, headers: Headers) -> str | None:
         """Return why Host or Origin are wrong, or None. Whether Origin may be missing is left to the caller."""
@@ -130,12 +172,19 @@ class Guard:
             return JSONResponse({"detail": why}, 403)
         if path in OPEN_PATHS:
             return None
-        known = self.access.knows(headers)
+        address = _address_of(scope)
+        if not self.access.has_cookie(headers) and self.access.guesses.are_too_many(address):
+            return JSONResponse(
+                {"detail": "too many wrong tokens: wait a minute"}, 429, {"Retry-After": str(int(GUESSED_WITHIN))}
+            )
+        known = self.access.knows(headers, address)
         if path in PAGES and scope["method"] in ("GET", "HEAD"):
             ticket = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
             if ticket and (known or self.access.redeem(ticket)):
                 return self._enter(scope)
             if not known:
+                if ticket:
+                    self.access.guesses.note(address)
                 return _login_page(path, bool(ticket), headers.get("sec-fetch-site") == "cross-site")
         if known:
             return None
@@ -158,14 +207,17 @@ class Guard:
 
     async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope)
-        status = 0
+        status, address = 0, _address_of(scope)
         if self.access.refusal(headers) or "origin" not in headers:
             status = 403
-        elif not self.access.knows(headers):
+        elif not self.access.has_cookie(headers) and self.access.guesses.are_too_many(address):
+            status = 429
+        elif not self.access.knows(headers, address):
             status = 401
         if not status:
             await self.app(scope, receive, send)
             return
+        self.access.refused_sockets.warn(f"refused a websocket of {address or 'a stranger'}")
         await receive()  # websocket.connect
         if "websocket.http.response" in scope.get("extensions", {}):
             await send({"type": "websocket.http.response.start", "status": status, "headers": []})
@@ -187,6 +239,11 @@ def kept_key(folder: Path) -> bytes:
         return fresh
     private = status.st_uid == os.getuid() and not status.st_mode & 0o077
     return key if private and len(key) == len(fresh) else fresh
+
+
+def _address_of(scope: Scope) -> str:
+    client = scope.get("client")
+    return client[0] if client else ""
 
 
 def _private(path: str, flags: int) -> int:

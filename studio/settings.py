@@ -5,6 +5,13 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from studio import limits
+
+SHORTEST_TOKEN = 16
+"""Smallest number of characters of a token where strangers can try some."""
+FEWEST_DIFFERENT = 6
+"""Smallest number of different characters of such a token."""
+
 
 def default_port() -> int:
     """Return PORT from the environment, or 8000; raise ValueError if it is no number."""
@@ -23,8 +30,19 @@ def _token() -> str | None:
     return os.environ.get("MORPH_TOKEN") or None
 
 
+def _trainers() -> int:
+    text = os.environ.get("MORPH_TRAINERS") or str(limits.cores())
+    if not text.isdecimal():
+        raise ValueError(f"MORPH_TRAINERS must be a whole number from 1 to {limits.MAX_TRAINERS}, not {text[:40]!r}")
+    return int(text[:9])
+
+
 def _hosts() -> tuple[str, ...]:
     return tuple(name.strip() for name in os.environ.get("MORPH_HOSTS", "").split(",") if name.strip())
+
+
+def _is_guessable(token: str) -> bool:
+    return len(token) < SHORTEST_TOKEN or len(set(token)) < FEWEST_DIFFERENT
 
 
 def _state() -> Path:
@@ -48,6 +66,9 @@ class Settings:
     """Further names under which this server is reached, e.g. behind a proxy; from MORPH_HOSTS, comma-separated."""
     state: Path = field(default_factory=_state)
     """Folder of the key behind the cookie, which lets an open page survive a restart of the server."""
+    trainers: int = field(default_factory=_trainers)
+    """Largest number of trainers at once on this machine, from MORPH_TRAINERS, by default one for each core; further
+    runs wait in a queue."""
     open_browser: bool = True
     """Whether to open the page in the browser once the server is up."""
 
@@ -56,6 +77,12 @@ class Settings:
             raise ValueError(f"the port must lie in 0 to 65535, not {self.port}")
         if self.token is not None and not (self.token.isascii() and self.token.isprintable() and self.token.strip()):
             raise ValueError("the token must be printable ASCII and not empty")
+        limits.whole("trainers", self.trainers, 1, limits.MAX_TRAINERS)
+        if not self.is_loopback and self.token is not None and _is_guessable(self.token):
+            raise ValueError(
+                f"refusing to listen on {self.host} with a token that can be guessed: give one of at least "
+                f"{SHORTEST_TOKEN} characters, such as: openssl rand -hex 24"
+            )
         if not self.is_loopback and not self.token:
             raise ValueError(
                 f"refusing to listen on {self.host} without a token: give --token or MORPH_TOKEN, or stay on 127.0.0.1"

@@ -1,11 +1,11 @@
 """Exploration `design`: every episode runs on Hw-Phy with its own design, drawn around phi."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from morph_core.config import NotNegative, Positive
+from morph_core.config import NotNegative, Positive, most
 from morph_core.divergence import limited
 from morph_core.exploration import Exploration, Pull, Relabelled
 from morph_core.rollout import Rollout
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 class Design(ExploredDesigns, Exploration):
     """Every episode runs on Hw-Phy with its own design around phi, so that what z explores is what a body can do."""
 
-    kappa: NotNegative = 0.3
+    kappa: Annotated[NotNegative, most(1e6, "Eq. 2 is summed in single precision, which would keep nothing else")] = 0.3
     """kappa: weight of the task's pull on the proxy."""
-    z_sigma: Positive = 0.5
+    z_sigma: Annotated[Positive, most(1e6, "z would carry no signal")] = 0.5
     """sigma_z: scale of the exploration of z, in units of z."""
-    drift_clip: NotNegative = 0.0
+    drift_clip: Annotated[NotNegative, most(1e6, "no two designs differ by more: it is no limit any more")] = 0.0
     """Limit of the difference between two designs' z, in units of z: a larger one compares a state in contact with one
     that is free. 0 sets no limit."""
     finish: Literal["policy_and_proxy", "policy"] = "policy_and_proxy"

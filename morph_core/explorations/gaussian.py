@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from morph_core.config import CountOrNone, Positive
+from morph_core.config import CountOrNone, Positive, most
 from morph_core.exploration import Exploration, Metric, Notes, Pull, Relabelled, run_trajectories
 from morph_core.rollout import Rollout
 from morph_core.spread import ExploredDesigns, Spread
@@ -69,14 +69,14 @@ class Gaussian(ExploredDesigns, Exploration):
     divergence: Literal["noise", "plain"] = "noise"
     """Metric of D: `noise` is the KL divergence of two Gaussian hardware models with the noise's standard deviation,
     `plain` the squared distance."""
-    spread_pairs: CountOrNone = 512
+    spread_pairs: Annotated[CountOrNone, most(65_536, "they are simulated and kept at once")] = 512
     """Pairs (s, a), spread over the workspace, at which D is taken beside the sampled ones, each iteration anew. Each
     costs one step of Hw-Phy."""
     credit: Literal["episode", "step"] = "episode"
     """A: what credits z, the standardised return of its episode or the advantage of its step."""
-    clip_coef: Positive = 0.6
+    clip_coef: Annotated[Positive, most(100.0, "a ratio that may change a hundredfold is not clipped")] = 0.6
     """Clip of the probability ratio of z, as in PPO."""
-    largest_log_ratio: Positive = 1.1
+    largest_log_ratio: Annotated[Positive, most(50.0, "the ratio must fit single precision")] = 1.1
     """Dual clip: largest logarithm of the probability ratio of z. PPO's clip leaves it unbounded where A is
     negative."""
     finish: Literal["hw_phy", "proxy"] = "hw_phy"

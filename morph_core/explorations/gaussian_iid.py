@@ -1,11 +1,11 @@
 """Exploration `gaussian_iid`: trajectories in the proxy's world, with noise on z that is drawn afresh at every call."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from morph_core.config import Positive
+from morph_core.config import Positive, most
 from morph_core.exploration import Exploration, Pull, Relabelled
 from morph_core.parts import Schedule
 from morph_core.rollout import Rollout
@@ -28,9 +28,9 @@ class GaussianIid(Exploration):
     the paper leaves open so that it does.
     """
 
-    noise: Positive = 0.1
+    noise: Annotated[Positive, most(1e6, "z would carry no signal")] = 0.1
     """sigma_z: standard deviation of z around the proxy's output, in units of z."""
-    clip_coef: Positive = 0.6
+    clip_coef: Annotated[Positive, most(100.0, "a ratio that may change a hundredfold is not clipped")] = 0.6
     """Clip of the probability ratio of z, as in PPO."""
 
     name: ClassVar[str] = "gaussian_iid"

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from morph_core.config import Count, Fraction
+from morph_core.config import Fraction
 from morph_core.design import DesignSpace
 from morph_core.exploration import run_trajectories
 from morph_core.method import Method
+from morph_core.parts import Iterations
 from morph_core.protocol import Progress
 from morph_core.search import Memory
 from morph_core.spread import nearest_buildable
@@ -41,7 +42,7 @@ class CmaesRl(Method):
     the next candidate, and CMA-ES begins anew after it.
     """
 
-    candidate_iterations: Count = 20
+    candidate_iterations: Iterations = 20
     """Iterations of PPO for each candidate; 20 of the reacher are about the 150 thousand steps of HWasP's."""
     sigma0: Fraction = 0.25
     """sigma0: first step size of CMA-ES, as a share of each parameter's range."""

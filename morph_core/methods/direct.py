@@ -3,9 +3,9 @@
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from morph_core.config import NotNegative, Share
+from morph_core.config import NotNegative, Share, most
 from morph_core.exploration import run_trajectories
 from morph_core.method import Method
 from morph_core.protocol import Progress
@@ -21,7 +21,7 @@ class Direct(Method):
     """A natural evolution strategy on phi, without a proxy: the yardstick for how much design signal an iteration
     holds. Ours, not the paper's."""
 
-    step: NotNegative = 1.5
+    step: Annotated[NotNegative, most(1000.0, "every design would lie on the edge of its box")] = 1.5
     """Step size of the natural evolution strategy on phi."""
     freeze_success: Share = 0.0
     """Share of successful trajectories from which on phi is frozen and every episode runs on it; 0 never freezes it.

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from morph_core.config import Count, NotNegative, Projection, Share
+from morph_core.config import Alpha, Projection, Share
 from morph_core.exploration import Exploration, Notes
 from morph_core.explorations.design import Design
 from morph_core.method import Method
 from morph_core.morph import morph
-from morph_core.parts import ProxyFit
+from morph_core.parts import Iterations, ProxyFit
 from morph_core.protocol import Progress
 from morph_core.search import Memory, Search
 from morph_core.searches.cma import Cma
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 class Morph(Method):
     """The paper's method, Algorithm 1: policy and hardware proxy learn together, and phi follows the proxy."""
 
-    design_interval: Count = 1
+    design_interval: Iterations = 1
     """K: iterations between two searches for phi."""
-    alpha: NotNegative = 1.0
+    alpha: Alpha = 1.0
     """alpha: weight of the divergence between proxy and Hw-Phy in Eq. 2."""
     projection: Projection = "none"
     """Rule of the gradient projection: what happens to g_task where it conflicts with g_hw."""

@@ -3,11 +3,11 @@
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from morph_core.config import Fraction, NotNegative, Settings, Share
+from morph_core.config import Fraction, NotNegative, Settings, Share, most
 from morph_core.design import DesignSpace
 from morph_core.exploration import run_trajectories
 from morph_core.method import Method
@@ -57,7 +57,7 @@ class ValueGradient(Method):
     Bounds and locks that a user edits are obeyed from the next iteration on, and phi goes on from an injected design.
     """
 
-    step: NotNegative = 0.03
+    step: Annotated[NotNegative, most(1.0, "a step is never longer than the box")] = 0.03
     """Root mean square of a step of phi over the free parameters at the start, as a share of each parameter's range."""
     step_end: Fraction = 0.3
     """Step of phi at the end of the schedule, to which it falls geometrically, as a fraction of the first one."""

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from morph_core.config import Count, Positive
+from morph_core.config import Count, Positive, most
 from morph_core.search import Problem, Search
 
 
@@ -14,11 +14,11 @@ from morph_core.search import Problem, Search
 class Cma(Search):
     """CMA-ES on the divergence, as in the paper; it never ends worse than it started."""
 
-    population: Annotated[int, Meta(ge=4)] = 12
+    population: Annotated[int, Meta(ge=4), most(1000, "each candidate costs a simulation of all pairs")] = 12
     """Candidate designs per generation of CMA-ES."""
-    generations: Count = 20
+    generations: Annotated[Count, most(1000, "each costs as many simulations as it has candidates")] = 20
     """Generations of CMA-ES per search for phi."""
-    sigma0: Positive = 0.1
+    sigma0: Annotated[Positive, most(1000.0, "every candidate would lie on the edge of its box")] = 0.1
     """sigma0: first step size of CMA-ES, in units of each parameter's scale."""
 
     name: ClassVar[str] = "cma"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from morph_core.config import Count, NotNegative, Positive
+from morph_core.config import Count, NotNegative, Positive, most
 from morph_core.divergence import limited
 from morph_core.search import Problem, Search, mean_over_pairs
 from morph_core.twin import Twin
@@ -29,18 +29,18 @@ class CmaDebiased(Search):
     F, which is least for a hand that touches nothing. Two independent halves multiplied with each other leave it out.
     """
 
-    population: Annotated[int, Meta(ge=4)] = 12
+    population: Annotated[int, Meta(ge=4), most(1000, "each candidate costs a simulation of all pairs")] = 12
     """Candidate designs per generation of CMA-ES."""
-    generations: Count = 8
+    generations: Annotated[Count, most(1000, "each costs as many simulations as it has candidates")] = 8
     """Generations of CMA-ES per search for phi."""
-    sigma0: Positive = 0.5
+    sigma0: Annotated[Positive, most(1000.0, "every candidate would lie on the edge of its box")] = 0.5
     """sigma0: first step size of CMA-ES, in units of the explored designs' Sigma."""
-    smear: Positive = 0.5
+    smear: Annotated[Positive, most(1000.0, "every design would lie on the edge of its box")] = 0.5
     """Spread of the designs over which a candidate's physics are averaged, in units of the explored designs' Sigma."""
-    drift_clip: NotNegative = 0.0
+    drift_clip: Annotated[NotNegative, most(1e6, "no two designs differ by more: it is no limit any more")] = 0.0
     """Limit of the difference between two z, in units of z: a larger one compares a state in contact with one that is
     free. 0 sets no limit."""
-    limit: Positive = 1.0
+    limit: Annotated[Positive, most(1000.0, "a step is never longer than the box")] = 1.0
     """Longest step of phi in one search, in units of the explored designs' Sigma: the policy must be able to follow."""
 
     name: ClassVar[str] = "cma_debiased"

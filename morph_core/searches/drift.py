@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 from msgspec import Meta
 
-from morph_core.config import Count, NotNegative, Positive
+from morph_core.config import Count, NotNegative, Positive, most
 from morph_core.divergence import limited
 from morph_core.search import Problem, Search
 from morph_core.twin import Twin
@@ -25,18 +25,18 @@ class Drift(Search):
     """Least squares of the drift of the proxy on dz/dphi, averaged over explored designs: where contact makes the
     divergence rough, every candidate costs more than the present phi, and a search for the least cost stands still."""
 
-    drift_clip: NotNegative = 0.0
+    drift_clip: Annotated[NotNegative, most(1e6, "no two designs differ by more: it is no limit any more")] = 0.0
     """Limit of the difference between two designs' z, in units of z: a larger one compares a state in contact with one
     that is free. 0 sets no limit."""
-    designs: Annotated[int, Meta(ge=4, multiple_of=4)] = 24
+    designs: Annotated[int, Meta(ge=4, multiple_of=4), most(1000, "each costs a simulation of its pairs")] = 24
     """Number of designs, in two halves of antithetic pairs, over which dz/dphi is averaged."""
-    groups: Count = 1
+    groups: Annotated[Count, most(1000, "each has designs of its own to simulate")] = 1
     """Number of groups into which the relabelled pairs are split, each with so many designs of its own: for the same
     steps of Hw-Phy the least squares see more designs."""
-    ridge: NotNegative = 0.2
+    ridge: Annotated[NotNegative, most(1e6, "a step would be too short to be seen")] = 0.2
     """Ridge of the least squares, as a share of the mean curvature of a single estimate of dz/dphi: noise of few
     designs in a group adds to that, and makes steps shorter."""
-    limit: Positive = 1.5
+    limit: Annotated[Positive, most(1000.0, "a step is never longer than the box")] = 1.5
     """Longest step of phi in one search, in units of the explored designs' Sigma."""
 
     name: ClassVar[str] = "drift"

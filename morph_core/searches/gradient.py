@@ -1,11 +1,11 @@
 """Search `gradient`: descent on the divergence where Hw-Phy is differentiable, the paper's stated alternative."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
-from morph_core.config import Count
+from morph_core.config import Count, most
 from morph_core.search import Problem, Search
 from morph_core.task import DifferentiableHardware, Task
 
@@ -14,7 +14,7 @@ from morph_core.task import DifferentiableHardware, Task
 class Gradient(Search):
     """Projected gradient descent on the divergence; it needs a Hw-Phy that is differentiable in phi."""
 
-    steps: Count = 200
+    steps: Annotated[Count, most(100_000, "more take minutes in every search")] = 200
     """Gradient steps per search for phi."""
 
     name: ClassVar[str] = "gradient"

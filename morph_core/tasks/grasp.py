@@ -3,12 +3,12 @@
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import mujoco
 import numpy as np
 
-from morph_core.config import NotNegative, Settings
+from morph_core.config import LARGEST_WEIGHT, NotNegative, Settings, most
 from morph_core.design import DesignSpace
 from morph_core.explorations.design import Design
 from morph_core.methods.direct import Direct
@@ -100,42 +100,42 @@ class GraspTask(Settings, Task):
     two on its body besides the one that presses ("two_besides_presser")."""
     servo: Servo = "none"
     """The servo for which the palm has pockets, one above each finger: they cost mass, and fingers need more room."""
-    initial_length: NotNegative = 0.12
+    initial_length: Annotated[NotNegative, most(1.0, "no link is longer")] = 0.12
     """m: length of both links of every finger of the initial design."""
-    lift_height: NotNegative = 0.05
+    lift_height: Annotated[NotNegative, most(1.0, "the palm rises no higher")] = 0.05
     """m: height above the table from which on the object is in the hand if enough fingers touch it."""
-    goal_height: NotNegative = 0.30
+    goal_height: Annotated[NotNegative, most(1.0, "the palm rises no higher")] = 0.30
     """p_goal: height in m above the middle of the table to which the object is to be lifted."""
-    distance_weight: NotNegative = 0.3
+    distance_weight: Annotated[NotNegative, LARGEST_WEIGHT] = 0.3
     """Reward per metre between object and p_goal (enters with a minus), capped at its value at the start. Without the
     cap a shove, which the first touch nearly always is, costs reward, and the policy learns not to touch."""
-    contact_weight: NotNegative = 0.3
+    contact_weight: Annotated[NotNegative, LARGEST_WEIGHT] = 0.3
     """beta_0: reward while a distal link touches the button and the object is off the table. If it is larger, or is
     paid on the table too, the policy stays there pressing and never lifts."""
-    height_weight: NotNegative = 8.0
+    height_weight: Annotated[NotNegative, LARGEST_WEIGHT] = 8.0
     """beta_1: reward per metre between object and table, up to `height_limit`."""
-    height_limit: NotNegative = 0.27
+    height_limit: Annotated[NotNegative, most(1.0, "the palm rises no higher")] = 0.27
     """m: height above the table beyond which more of it pays nothing."""
-    goal_bonus: NotNegative = 10.0
+    goal_bonus: Annotated[NotNegative, LARGEST_WEIGHT] = 10.0
     """beta_2: reward while a distal link presses the button and the object is in the hand."""
-    reward_scale: NotNegative = 0.2
+    reward_scale: Annotated[NotNegative, LARGEST_WEIGHT] = 0.2
     """Factor by which all weights and the bonus are multiplied."""
-    palm_step: NotNegative = 0.05
+    palm_step: Annotated[NotNegative, most(1.0, "the palm has no longer way")] = 0.05
     """m: largest change of the palm's target per control step."""
-    joint_step: NotNegative = 0.3
+    joint_step: Annotated[NotNegative, most(6.3, "a joint turns by less than a full turn")] = 0.3
     """rad: largest change of a joint's target per control step."""
-    initial_closing: NotNegative = 0.3
+    initial_closing: Annotated[NotNegative, most(1.0, "it is a share")] = 0.3
     """Speed at which an untrained policy moves the proximal joints inward, as a share of `joint_step`. Flailing about
     the start posture lifts the object in none of 256 episodes, closing and rising in one of seven at .26 m."""
-    initial_curling: NotNegative = 0.1
+    initial_curling: Annotated[NotNegative, most(1.0, "it is a share")] = 0.1
     """Speed at which an untrained policy curls the distal joints, as a share of `joint_step`."""
-    initial_rising: NotNegative = 0.15
+    initial_rising: Annotated[NotNegative, most(1.0, "it is a share")] = 0.15
     """Speed at which an untrained policy moves the palm upward, as a share of `palm_step`."""
-    start_noise: NotNegative = 0.01
+    start_noise: Annotated[NotNegative, most(0.6, "the object is turned by at most half a turn")] = 0.01
     """m: largest distance of the object from the middle at the start; its largest turn is 5 rad per metre of this."""
-    travel: NotNegative = 0.02
+    travel: Annotated[NotNegative, most(1.0, "no button is longer")] = 0.02
     """m: distance by which the button can be pressed in."""
-    stiffness: NotNegative = 60.0
+    stiffness: Annotated[NotNegative, most(1e4, "a stiffer spring swings faster than a step of the simulation")] = 60.0
     """N/m: the stiffness of the button's spring."""
 
     horizon: ClassVar[int] = 40

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import mujoco
 import numpy as np
 
-from morph_core.config import NotNegative
+from morph_core.config import NotNegative, most
 from morph_core.tasks import palette
 from morph_core.tasks.grasp import OBJECT_FRICTION, GraspTask, add_button, add_free_body
 from morph_core.tasks.hand import OBJECT_CONTACT, Hand
@@ -31,15 +31,15 @@ class MouseClick(GraspTask):
     the hand, 5 cm above the table with two fingers on it, or two besides the one that presses.
     """
 
-    length: NotNegative = 0.62
+    length: Annotated[NotNegative, most(2.0, "no hand reaches round it")] = 0.62
     """m: length of the mouse from rear to front."""
-    width: NotNegative = 0.46
+    width: Annotated[NotNegative, most(2.0, "no hand reaches round it")] = 0.46
     """m: the mouse's width: fingers of the initial design reach its shoulders only, those of .2 m get round them."""
-    height: NotNegative = 0.14
+    height: Annotated[NotNegative, most(2.0, "no hand reaches round it")] = 0.14
     """m: the mouse's height."""
-    mass: NotNegative = 0.4
+    mass: Annotated[NotNegative, most(1000.0, "no servo lifts it")] = 0.4
     """kg: the mass of the mouse without its button. Half of it can be lifted without learning to squeeze."""
-    travel: NotNegative = 0.015
+    travel: Annotated[NotNegative, most(1.0, "no button is longer")] = 0.015
     """m: distance by which the button can be pressed in."""
 
     name: ClassVar[str] = "mouse_click"

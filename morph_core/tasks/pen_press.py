@@ -1,12 +1,12 @@
 """Pen-pressing: a hand of four fingers lifts a long box and presses the button on its end."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import mujoco
 import numpy as np
 
-from morph_core.config import NotNegative
+from morph_core.config import NotNegative, most
 from morph_core.tasks import palette
 from morph_core.tasks.grasp import OBJECT_FRICTION, GraspTask, add_button, add_free_body
 from morph_core.tasks.hand import OBJECT_CONTACT
@@ -24,11 +24,11 @@ class PenPress(GraspTask):
     the hand, 5 cm above the table with two fingers on it, or two besides the one that presses.
     """
 
-    half_length: NotNegative = 0.28
+    half_length: Annotated[NotNegative, most(1.0, "no hand reaches round it")] = 0.28
     """m: half the pen's length; the button reaches .32 m, beyond the fingers of the initial design (.30 m)."""
-    half_width: NotNegative = 0.03
+    half_width: Annotated[NotNegative, most(1.0, "no hand reaches round it")] = 0.03
     """m: half the pen's width and height."""
-    mass: NotNegative = 0.15
+    mass: Annotated[NotNegative, most(1000.0, "no servo lifts it")] = 0.15
     """kg: the mass of the pen without its button."""
 
     name: ClassVar[str] = "pen_press"

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from msgspec import Meta
 
-from morph_core.config import NotNegative, Settings
+from morph_core.config import LARGEST_WEIGHT, NotNegative, Settings, most
 from morph_core.design import DesignSpace
 from morph_core.methods.direct import Direct
 from morph_core.methods.no_hw_opt import NoHwOpt
@@ -169,25 +169,25 @@ class Reacher(Settings, Task):
     """Tunnel that the arm has to thread: made for this project, or measured from the paper's figure."""
     z: Literal["joints", "tip"] = "joints"
     """z: output of the hardware, which is all joint positions, or the paper's end-effector alone."""
-    action_scale: NotNegative = 0.2
+    action_scale: Annotated[NotNegative, most(6.3, "a joint angle changes by at most a full turn")] = 0.2
     """rad: largest change of a joint angle per control step."""
-    start_noise: NotNegative = 0.05
+    start_noise: Annotated[NotNegative, most(3.2, "a start posture is turned by at most half a turn")] = 0.05
     """rad: standard deviation of each joint angle at the start."""
-    sweep_resolution: Annotated[float, Meta(ge=1e-3)] = 0.015
+    sweep_resolution: Annotated[float, Meta(ge=1e-3), most(1.0, "the arm would jump through the walls")] = 0.015
     """m: largest move of any point of the arm between two postures that are tested for collision."""
-    distance_weight: NotNegative = 1.0
+    distance_weight: Annotated[NotNegative, LARGEST_WEIGHT] = 1.0
     """Reward per metre between tip and goal (enters with a minus)."""
-    centre_weight: NotNegative = 0.5
+    centre_weight: Annotated[NotNegative, LARGEST_WEIGHT] = 0.5
     """beta_0: reward per metre between tip and centre line, at most `centre_limit` (enters with a minus)."""
-    centre_limit: NotNegative = 4.0
+    centre_limit: Annotated[NotNegative, most(100.0, "the arm reaches no further")] = 4.0
     """m: distance to the centre line beyond which more of it counts no more."""
-    collision_weight: NotNegative = 0.2
+    collision_weight: Annotated[NotNegative, LARGEST_WEIGHT] = 0.2
     """beta_1: reward for a move that contact stops altogether (enters with a minus)."""
-    goal_bonus: NotNegative = 10.0
+    goal_bonus: Annotated[NotNegative, LARGEST_WEIGHT] = 10.0
     """beta_2: reward for touching the goal."""
-    stuck_cost: NotNegative = 10.0
+    stuck_cost: Annotated[NotNegative, LARGEST_WEIGHT] = 10.0
     """Cost of each step of a design whose start posture reaches into the tunnel or a wall."""
-    reward_scale: NotNegative = 0.02
+    reward_scale: Annotated[NotNegative, LARGEST_WEIGHT] = 0.02
     """Factor by which all weights, bonuses and costs are multiplied: returns of order one suit the critic."""
 
     name: ClassVar[str] = "reacher"

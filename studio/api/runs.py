@@ -9,6 +9,7 @@ from morph_core.protocol import AnyCommand
 from morph_core.run_folder import RunFolderError
 from studio.api.messages import Accepted, ResumeRun, RunState, body_of, gives, reply, sender_of, takes
 from studio.branches import children_of
+from studio.limits import LAST_ITERATION
 from studio.log import LogEntry, log_of
 from studio.moments import Moment, moment_of
 from studio.new_run import StartRun
@@ -100,7 +101,9 @@ def runs_router(runs: Runs) -> APIRouter:
     @router.post("/{run_id}/show", responses=gives(RunState), summary="Let every open browser show this run")
     def show(
         run_id: str,
-        iteration: Annotated[int | None, Query(ge=0, description="Iteration whose design is shown; 0: initial")] = None,
+        iteration: Annotated[
+            int | None, Query(ge=0, le=LAST_ITERATION, description="Iteration whose design is shown; 0: initial")
+        ] = None,
     ) -> Response:
         runs.show(run_id, iteration)
         return reply(state_of(runs, run_id))

@@ -12,6 +12,7 @@ COMMANDS = {
     "train": "co-optimise body and controller without a browser, or go on with a run",
     "study": "compare methods over tasks and seeds at equal environment steps",
     "runs": "list the runs of a folder, or show as a tree which branched from which",
+    "stop": "end the trainer of a run, after its iteration or at once",
     "log": "print what was done to a run",
     "replay": "do a run again from its seed and its log, and compare",
     "evaluate": "measure success and return of a design on Hw-Phy",

@@ -23,6 +23,9 @@ class ServeArguments(RunsArguments):
     """Port to listen on; by default PORT from the environment, else 8000."""
     token: Annotated[str | None, tyro.conf.arg(metavar="TOKEN")] = None
     """Token that browsers and API clients must know; without it, MORPH_TOKEN from the environment."""
+    trainers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Largest number of trainers at once on this machine; further runs wait in a queue. By default MORPH_TRAINERS from
+    the environment, else one for each core."""
     no_browser: bool = False
     """Print the address of the studio without opening it in a browser."""
     launcher: Literal["local", "slurm"] = "local"
@@ -35,7 +38,8 @@ def main(words: Sequence[str]) -> int:
     """Run `morph-studio serve` with these words; return the exit status."""
     try:
         arguments = parse(ServeArguments, words, "serve")
-        given: dict[str, Any] = {} if arguments.token is None else {"token": arguments.token}
+        asked = {"token": arguments.token, "trainers": arguments.trainers}
+        given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
         settings = Settings(
             host=arguments.host,
             port=arguments.port,

@@ -7,7 +7,7 @@ import numpy as np
 
 from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
-from morph_core.protocol import Parent
+from morph_core.protocol import Measure, Parent, Whole
 from studio.export.archive import MAX_BYTES, unzipped
 from studio.export.errors import ExportError
 from studio.new_run import StartRun
@@ -26,14 +26,14 @@ class Value(msgspec.Struct, frozen=True, kw_only=True):
     """One design parameter; all numbers in `unit`."""
 
     name: str
-    value: float
+    value: Measure
     unit: str
-    lo: float
-    hi: float
-    locked_at: float | None
-    hard_lo: float
-    hard_hi: float
-    initial: float
+    lo: Measure
+    hi: Measure
+    locked_at: Measure | None
+    hard_lo: Measure
+    hard_hi: Measure
+    initial: Measure
 
 
 class PartEntry(msgspec.Struct, frozen=True):
@@ -63,7 +63,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
     """Word with which the names of the robot's files begin."""
     run: str
     design: str
-    iteration: int
+    iteration: Whole
     parameters: list[Value]
     parts: list[PartEntry] = []
 

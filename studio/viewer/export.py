@@ -8,6 +8,7 @@ from morph_core.history import History
 from studio.export.bundle import ALL_FORMATS, OPTIONAL_FORMATS, Bundle
 from studio.export.design_file import DESIGN_TYPES
 from studio.export.ros import FOLDER
+from studio.limits import LAST_ITERATION
 from studio.viewer import wording
 
 CHOICES = ("best", "latest", "iteration")
@@ -50,7 +51,9 @@ class ExportPanel:
         self._bundle: Bundle | None = None
         self.note = gui.add_html("")
         self.design = gui.add_dropdown("design", CHOICES, initial_value="best")
-        self.iteration = gui.add_number("iteration", 0, min=0, step=1, visible=False, hint="0 is the initial design")
+        self.iteration = gui.add_number(
+            "iteration", 0, min=0, max=LAST_ITERATION, step=1, visible=False, hint="0 is the initial design"
+        )
         self.formats_folder = gui.add_folder("Formats", expand_by_default=False)
         with self.formats_folder:
             self.formats = {

@@ -8,6 +8,7 @@ from morph_core.history import History
 from morph_core.protocol import (
     AnyCommand,
     Checkpoint,
+    Kill,
     Pause,
     Progress,
     Resume,
@@ -16,6 +17,7 @@ from morph_core.protocol import (
     Stop,
 )
 from studio.log import acknowledgement, describe
+from studio.overdue import kill_is_offered
 from studio.viewer import wording
 from studio.viewer.rules import rules_of
 
@@ -51,6 +53,10 @@ class RunPanel:
         self.more = gui.add_button_group(
             "run", tuple(MORE), hint="Step: one iteration, then hold. Stop: save and end; it can be resumed."
         )
+        self.kill = gui.add_button(
+            "Kill", icon=viser.Icon.SKULL, color="red", visible=False,
+            hint="End it at once, without a checkpoint: what came after the newest one is done again",
+        )  # fmt: skip
         self.numbers = gui.add_html("")
         self.branch = gui.add_button(
             "Branch from here", icon=viser.Icon.GIT_BRANCH, color="gray",
@@ -64,6 +70,7 @@ class RunPanel:
         )  # fmt: skip
         self.pause.on_click(lambda event: self._send(lambda: [Pause()], event.client))
         self.resume.on_click(lambda event: self.go_on(event.client))
+        self.kill.on_click(lambda event: self._send(lambda: [Kill()], event.client))
         self.branch.on_click(lambda event: on_branch(event.client))
         self.more.on_click(lambda event: self.ask(event.target.value, event.client))
 
@@ -95,7 +102,7 @@ class RunPanel:
         for handle in self._everything:
             handle.visible = visible
         if not visible:
-            self.failure.visible = False
+            self.failure.visible = self.kill.visible = False
 
     def update(self, history: History, status: Status, message: str, pending: Sequence[AnyCommand]) -> None:
         """Show a run. `pending` are commands without an answer yet."""
@@ -110,6 +117,7 @@ class RunPanel:
         self.bar.color = "red" if broken else "yellow" if status in ("paused", "pausing") else "green"
         self.numbers.content = self._numbers(history)
         self._enable(status)
+        self.kill.visible = status not in NOT_LIVE and kill_is_offered(history.folder)
         self.log.content = log_of(history, status, pending)
         rules = "<br>".join(wording.text(line) for line in rules_of(history))
         self.rules.content = wording.paragraph(wording.dim(rules))

@@ -7,6 +7,7 @@ from typing import Any
 import viser
 
 from morph_core.catalogue import make_method
+from morph_core.config import LARGEST_ALPHA
 from morph_core.method import Method
 from morph_core.task import Task
 from studio.fields import Field, chosen_fields, told
@@ -30,7 +31,7 @@ class SettingsForm:
         """The settings that are folded away, by dotted name."""
         self._folders: list[viser.GuiFolderHandle] = []
         self._filling = False
-        self.alpha = gui.add_number("α", 1.0, min=0.0, step=0.1)
+        self.alpha = gui.add_number("α", 1.0, min=0.0, max=LARGEST_ALPHA, step=0.1)
         self._explained = {"alpha": gui.add_html(explain.alpha())}
         self.projection = gui.add_dropdown("projection", [""])
         self._explained["projection"] = gui.add_html(explain.projection())

@@ -5,7 +5,7 @@ import typing
 import viser
 
 from morph_core.catalogue import METHODS
-from morph_core.config import NotNegative, Projection, check_value
+from morph_core.config import LARGEST_ALPHA, Alpha, Projection, check_value
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, SetAlpha, SetProjection, Status
 from studio.fields import docs_of
@@ -21,7 +21,7 @@ class SteerPanel:
         self._in_force: tuple[float, Projection] | None = None
         self.form = gui.add_form("Algorithm", visible=False)
         with self.form:
-            self.alpha = gui.add_number("α", 1.0, min=0.0, step=0.1, hint=docs["alpha"])
+            self.alpha = gui.add_number("α", 1.0, min=0.0, max=LARGEST_ALPHA, step=0.1, hint=docs["alpha"])
             gui.add_html(explain.alpha())
             self.projection = gui.add_dropdown("projection", list(typing.get_args(Projection)), hint=docs["projection"])
             gui.add_html(explain.projection())
@@ -44,7 +44,7 @@ class SteerPanel:
     def commands(self) -> list[AnyCommand]:
         """Return the commands for what was edited. Raise ValueError with a sentence if a value is not allowed."""
         alpha, projection = self.alpha.value, self.projection.value
-        check_value("alpha", NotNegative, alpha)
+        check_value("alpha", Alpha, alpha)
         check_value("projection", Projection, projection)
         in_force = self._in_force or (None, None)
         commands: list[AnyCommand] = [SetAlpha(alpha)] if alpha != in_force[0] else []

@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from morph_core import catalogue
-from morph_core.catalogue import EXPLORATIONS, METHODS, SEARCHES, configured, make_method, make_task, read_method
-from morph_core.config import Settings, flattened, kinds_of, paths_of, range_of, recorded
+from morph_core.catalogue import EXPLORATIONS, METHODS, SEARCHES, TASKS, configured, make_method, make_task, read_method
+from morph_core.config import LARGEST, Settings, check_value, flattened, kinds_of, limits, paths_of, range_of, recorded
 from morph_core.format_1 import RENAMED
 from morph_core.method import Method
 from morph_core.methods.direct import Direct
@@ -196,6 +196,49 @@ def test_values_outside_their_range_are_refused_under_their_whole_name(method: M
         for value, wanted in ((math.nan, "a whole number" if bare is int else "finite"), ("1", "a"), (True, "a")):
             with pytest.raises(ValueError, match=f"^{re.escape(name)} must be {wanted}"):
                 configured(method, {name: value})
+
+
+def numbers_of(owner: Any) -> dict[tuple[type, str], Any]:
+    """Return the annotation of every number that can be set in a dataclass, by the class and the field's name."""
+    kinds = kinds_of(type(owner))
+    names = [field.name for field in dataclasses.fields(owner) if field.init]
+    return {(type(owner), n): kinds[n] for n in names if type(getattr(owner, n)) in (int, float)}
+
+
+EVERY_SETTING: dict[tuple[type, str], Any] = {}
+for chosen in CHOICES:
+    for owner in (chosen, *(part for part in vars(chosen).values() if isinstance(part, Settings))):
+        EVERY_SETTING |= numbers_of(owner)
+EVERY_OPTION = {where: kind for task in TASKS for where, kind in numbers_of(make_task(task)).items()}
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "kind"),
+    [(*where, kind) for where, kind in (EVERY_SETTING | EVERY_OPTION).items()],
+    ids=[f"{owner.__name__}.{name}" for owner, name in EVERY_SETTING | EVERY_OPTION],
+)
+def test_every_number_that_can_be_set_has_both_ends_and_a_reason_for_the_upper_one(
+    owner: type, name: str, kind: object
+) -> None:
+    bare, meta = range_of(kind)
+    lo, hi = limits(meta)
+    assert meta is not None
+    assert lo is not None
+    assert hi is not None
+    assert -LARGEST <= lo < hi < 1e10
+    assert meta.description
+    usual = getattr(owner(), name)
+    assert check_value(name, kind, usual) == usual
+    for value in (hi + 1, 10**18, 1e308, 1e39, 10**400, -(10**400), math.inf):
+        with pytest.raises(ValueError, match=f"^{name} must (lie in|be|not be) "):
+            check_value(name, kind, value)
+    with pytest.raises(ValueError, match=re.escape(f": {meta.description}")):
+        check_value(name, kind, bare(hi + 1))
+
+
+def test_there_are_as_many_numbers_to_set_as_there_are() -> None:
+    assert len(EVERY_SETTING) > 60
+    assert len(EVERY_OPTION) > 40
 
 
 # --- records ---

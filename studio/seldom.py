@@ -1,0 +1,29 @@
+"""Warnings that a stranger can cause as often as he likes, and that are written down at most once a minute."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+SECONDS = 60.0
+"""Seconds between two lines about the same."""
+
+
+class Seldom:
+    """A warning that says at most once a minute how often it would have been given."""
+
+    def __init__(self, log: logging.Logger, clock: Callable[[], float] = time.monotonic) -> None:
+        self._log = log
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._last = float("-inf")
+        self._kept_back = 0
+
+    def warn(self, sentence: str) -> None:
+        """Write a warning, or count it."""
+        with self._lock:
+            if self._clock() - self._last < SECONDS:
+                self._kept_back += 1
+                return
+            more, self._kept_back, self._last = self._kept_back, 0, self._clock()
+        self._log.warning("%s%s", sentence, f" ({more} more since the last line)" if more else "")
