@@ -69,6 +69,13 @@ def move(source: Path, target: Path) -> None:
     _sync(source.parent)
 
 
+def remove_folder(target: Path) -> None:
+    """Remove a folder; a process that dies meanwhile leaves no half of it, but a draft, which `recover` clears away."""
+    aside = _beside(target, "draft")
+    target.rename(aside)
+    shutil.rmtree(aside, ignore_errors=True)
+
+
 def recover(parent: Path, target: re.Pattern[str]) -> None:
     """Tidy up after a writer that died: what was moved aside comes back, drafts go; nothing else is touched.
 

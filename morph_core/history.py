@@ -233,7 +233,7 @@ class History:
     @property
     def best(self) -> Evaluation | None:
         """The evaluation with the most sampled success, then the highest return."""
-        return max(self.evaluations, key=lambda e: (e.sampled_success, e.sampled_return), default=None)
+        return max(self.evaluations, key=merit, default=None)
 
     @property
     def last_evaluation(self) -> Evaluation | None:
@@ -268,6 +268,11 @@ class History:
                 return progress.iteration, np.array(progress.phi)
         allowed = f"choose best, latest or {self.begins_at} to {self.iteration}"
         raise RunFolderError(f"{self.folder.id} has no iteration {which}; {allowed}")
+
+
+def merit(evaluation: Evaluation) -> tuple[float, float]:
+    """Return what makes one evaluation better than another: sampled success, then the return."""
+    return evaluation.sampled_success, evaluation.sampled_return
 
 
 def _after(event: Progress | Acknowledged | DesignSpaceChanged, before: InForce) -> InForce:

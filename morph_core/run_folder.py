@@ -27,6 +27,8 @@ REPORT = "report"
 """Folder beside run folders that holds the report of their study."""
 ORIGIN = "origin"
 """Folder in that of a branch which holds what it took along of its parent: run.json and one checkpoint."""
+MARKS = "marks.json"
+"""File in a run folder with what people have noted about it."""
 LAUNCH = "launch.json"
 """File in a run folder that says by whom its trainer is started."""
 SAID_ENDED: tuple[Status, ...] = ("stopped", "finished", "failed")

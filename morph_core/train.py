@@ -26,8 +26,9 @@ from morph_core.catalogue import make_task, read_method
 from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.edits import AnyEdit, edited
 from morph_core.episodes import Score, evaluate, outcomes, record_episodes
-from morph_core.history import History, InForce
+from morph_core.history import History, InForce, merit
 from morph_core.inside import NotPlainError, open_plain
+from morph_core.keeping import tidy
 from morph_core.method import Method
 from morph_core.pace import Pace
 from morph_core.processor import processor
@@ -81,6 +82,7 @@ class Trainer:
         self._longest_iteration = 1  # environment steps
         self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
+        self._best: Evaluation | None = None
         self._heartbeat: HeartbeatFile | None = None  # a full disk has no room for it yet
         self._process_started = psutil.Process().create_time()
         self._heartbeat = self._persist(lambda: HeartbeatFile(folder))
@@ -211,7 +213,9 @@ class Trainer:
             )
         )  # fmt: skip
         self._write(DesignSpaceChanged(iteration=state.iteration, parameters=list(state.design_space.parameters)))
-        if taken_back := unruly_alpha(History(self._folder), state):
+        history = History(self._folder)
+        self._best = history.best
+        if taken_back := unruly_alpha(history, state):
             self._checkpoint(state)
             for event in taken_back:
                 self._write(event)
@@ -248,6 +252,7 @@ class Trainer:
             self._evaluate(task, method, state)
             self._set("running", "saving")
             self._checkpoint(state)
+            tidy(self._folder, method.evaluation.interval, self._best.iteration if self._best else None)
         self._set("running", "collecting and learning")
 
     def _evaluate(self, task: Task, method: Method, state: State) -> None:
@@ -285,16 +290,16 @@ class Trainer:
         return sampled, mean, rollout
 
     def _tell(self, state: State, sampled: Score, mean: Score, episodes: int, **said: Any) -> None:
-        self._write(
-            Evaluation(
+        told = Evaluation(
                 iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
                 sampled_success=sampled.success, sampled_return=sampled.episode_return,
                 deterministic_success=mean.success, deterministic_return=mean.episode_return,
                 milestones=sampled.milestones, diverged=sampled.diverged, reward_terms=sampled.reward_terms,
                 return_interval=sampled.return_interval,
                 cpu_seconds=self._cpu_seconds, episodes=episodes, **said,
-            )
-        )  # fmt: skip
+            )  # fmt: skip
+        self._write(told)
+        self._best = max((e for e in (self._best, told) if e), key=merit)
 
     def _checkpoint(self, state: State) -> None:
         self._persist(lambda: save_checkpoint(self._folder, state, self._cpu_seconds))

@@ -43,8 +43,10 @@ from studio.desks import Desks
 from studio.evaluator import Evaluator, EvaluatorError
 from studio.export.bundle import Bundle, build_bundle
 from studio.new_run import Branch, StartRun
+from studio.patience import PatientProtocol
 from studio.runs import Runs
 from studio.security import Access, Guard
+from studio.seldom import SaidOnce
 from studio.settings import Settings
 from studio.shelf import trash
 from studio.shelf.thumbnails import Thumbnails
@@ -56,6 +58,8 @@ from studio.what_if import WhatIfs
 
 SHOW_INTERVAL = 0.2
 """Seconds between two looks at the runs for the viewer."""
+_UNSAID = "ASGI callable returned without completing handshake."
+"""What uvicorn says of each websocket that was refused; the guard says it itself, once a minute."""
 QUEUE_INTERVAL = 1.0
 """Seconds between two looks at the queue of runs that wait for a trainer."""
 _log = logging.getLogger(__name__)
@@ -290,8 +294,8 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
 
     def announce() -> None:
         link = f"{address}?token={access.ticket}"
-        # A given token stays out of a platform's logs; its owner knows it.
-        shown = link if settings.is_loopback else f"{address}?token=..."
+        # A given token stays out of a platform's and a proxy's logs; its owner knows it.
+        shown = link if settings.token is None else f"{address}?token=..."
         print(f"MORPH Studio: {shown}", flush=True)  # noqa: T201
         if settings.open_browser:
             threading.Thread(target=webbrowser.open, args=(link,), daemon=True).start()
@@ -304,10 +308,12 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
         log_level="warning",
         access_log=False,
         workers=1,
+        http=PatientProtocol,
         ws_per_message_deflate=False,
         ws_max_size=MAX_MESSAGE,
         timeout_graceful_shutdown=2,
     )
+    logging.getLogger("uvicorn.error").addFilter(SaidOnce(_UNSAID))
     with contextlib.suppress(KeyboardInterrupt):
         _Server(config, announce).run(sockets=[listener])
 

@@ -14,12 +14,14 @@ from morph_core.catalogue import configured, make_method, make_task, read_method
 from morph_core.config import flattened, paths_of, recorded
 from morph_core.design import DesignSpace
 from morph_core.history import History
+from morph_core.keeping import pin
 from morph_core.method import Method
 from morph_core.origin import Origin, origin_at
 from morph_core.protocol import FORMAT, Parameter, Parent, RunRecord, Whole
 from morph_core.run_folder import RunFolder, RunFolderError, create_run, find_run, new_run_id
 from morph_core.task import Task
 from studio import limits
+from studio.cost import check_cost
 from studio.versions import versions_of
 
 DEFAULT_ITERATIONS = 100
@@ -78,6 +80,8 @@ class StartRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Budget of environment steps after which the run ends; a branch that counts on has some behind it."""
     final_episodes: Annotated[int, msgspec.Meta(ge=0, le=limits.MAX_FINAL_EPISODES)] = 0
     """Episodes of each kind in an evaluation at the end."""
+    costly: bool = False
+    """Yes to a run of which an iteration may take longer than ten minutes."""
 
 
 def prepare_run(runs: Path, wish: StartRun) -> RunFolder:
@@ -93,7 +97,10 @@ def prepare_run(runs: Path, wish: StartRun) -> RunFolder:
         name = record.id if number == 1 else f"{record.id}-{number}"
         if not (runs / name).exists():
             with contextlib.suppress(RunFolderError):  # another process was faster: take the next name
-                return create_run(runs, msgspec.structs.replace(record, id=name), files)
+                created = create_run(runs, msgspec.structs.replace(record, id=name), files)
+                if origin and origin.checkpoint is not None:
+                    pin(find_run(runs, origin.run), origin.checkpoint)
+                return created
         number += 1
 
 
@@ -110,6 +117,7 @@ def record_of(wish: StartRun, origin: Origin | None = None, made_on: Machine | N
         raise ValueError(f"a setting of {wish.task} has the wrong type or size: {error}") from error
     space = _space_of(wish, task, origin)
     task.check_buildable(space.initial)
+    check_cost(task, method, wish.costly)
     goes_on = origin is not None and method.name == origin.record.method
     begins_at, spent = (origin.begins_at, origin.env_steps) if origin and goes_on else (0, 0)
     iterations, env_steps = _length(wish, origin, begins_at, spent)

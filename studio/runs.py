@@ -31,6 +31,7 @@ from morph_core.pulse import Pulse, at_work
 from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError, find_run, list_runs, passed_over
 from studio import limits
 from studio.commands import check_command
+from studio.cost import cost_of
 from studio.inquest import Inquest
 from studio.new_run import StartRun, prepare_run
 from studio.overdue import forget_stops, kill_is_offered, stop_waits
@@ -121,6 +122,8 @@ class Runs:
         self._inquest = Inquest()
         self._trainers = trainers
         self._waiting = Waiting(folder)
+        self._costs: dict[str, str] = {}
+        """What an iteration of the runs that were started here takes, in words."""
         self._starting = threading.Lock()  # so that no two take the last place
 
     # --- reading ---
@@ -141,6 +144,8 @@ class Runs:
         """Return what the run does and why, including what only a witness of its trainer's death can know."""
         with self._turn(history.folder.id):
             status, reason = self._in_queue(history.folder, *self._inquest.status(history))
+        if status == "starting" and history.folder.id in self._costs:
+            reason = f"{reason}; an iteration takes {self._costs[history.folder.id]}"
         if status in _HAS_TRAINER and kill_is_offered(history.folder):
             reason = (
                 f"asked to stop {stop_waits(history.folder):.0f} s ago and still in iteration {history.iteration + 1}; "
@@ -308,6 +313,7 @@ class Runs:
         Raise ValueError if it is not allowed, or the cluster refuses it; then there is no such run.
         """
         folder = prepare_run(self.folder, wish)
+        self._costs[folder.id] = cost_of(folder.record())
         if self._launcher:
             try:
                 self._launcher.submit(self.folder, [folder.id])

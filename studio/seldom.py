@@ -27,3 +27,23 @@ class Seldom:
                 return
             more, self._kept_back, self._last = self._kept_back, 0, self._clock()
         self._log.warning("%s%s", sentence, f" ({more} more since the last line)" if more else "")
+
+
+class SaidOnce(logging.Filter):
+    """Lets a line without a traceback pass once a minute, and `unsaid` never."""
+
+    def __init__(self, unsaid: str, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._unsaid = unsaid
+        self._clock = clock
+        self._said: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Tell whether a line is to be written."""
+        sentence, now = str(record.msg), self._clock()
+        if record.exc_info:
+            return True
+        if sentence == self._unsaid or now - self._said.get(sentence, -SECONDS) < SECONDS:
+            return False
+        self._said[sentence] = now
+        return True

@@ -23,6 +23,7 @@ from studio.cli.arguments import RunsArguments, UsageError, value_after
 from studio.cli.choice import open_run, place_of
 from studio.cli.follow import Outcome, follow
 from studio.cli.wanted import Wanted, branch_method, parse_wanted
+from studio.cost import cost_of
 from studio.log import sender_here
 from studio.new_run import Branch, StartRun, method_at, prepare_run, space_at
 from studio.study.slurm import Slurm, slurm_launch
@@ -50,6 +51,8 @@ class TrainArguments(RunsArguments):
     branch: Annotated[str | None, tyro.conf.arg(metavar="RUN[@ITERATION]")] = None
     """Run to branch from, at an iteration or at its last one: a new run beside it begins with the nearest checkpoint up
     to there. It is like its parent in all that no flag changes; one with nothing changed goes on as its parent did."""
+    costly: bool = False
+    """Yes to a run of which an iteration may take longer than ten minutes."""
     bounds: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=LO:HI")] = ()
     """Bounds of design parameters of a new run, such as link_1=0.5:2."""
     lock: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME[=VALUE]")] = ()
@@ -136,6 +139,7 @@ def _prepared(found: _Asked) -> RunFolder:
         settings=dict(found.wanted.everything if origin else found.wanted.settings),
         task_options=dict(found.wanted.task_options),
         branch=Branch(origin.run, origin.iteration) if origin else None,
+        costly=asked.costly,
     )
     try:
         space = space_at(origin) if origin else make_task(asked.task, wish.task_options).design_space
@@ -143,8 +147,9 @@ def _prepared(found: _Asked) -> RunFolder:
         folder = prepare_run(found.runs or asked.runs, wish)
     except (ValueError, OSError) as error:
         raise UsageError(f"train: {error}") from error
-    if origin and not asked.json:
-        print(f"{folder.id} begins {origin.words}", file=sys.stderr)  # noqa: T201
+    if not asked.json:
+        began = f"begins {origin.words}; it" if origin else "is made: it"
+        print(f"{folder.id} {began} takes {cost_of(folder.record())} an iteration", file=sys.stderr)  # noqa: T201
     return folder
 
 

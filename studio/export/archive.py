@@ -50,6 +50,8 @@ def unzipped(content: bytes, only: str = "", most: int = MAX_BYTES) -> dict[str,
             _check_size(len(entries), sum(entry.file_size for entry in wanted), most)
             for entry in entries:
                 check_path(entry.filename)
+            if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in wanted):
+                raise ExportError("it is packed so that reading it may take any amount of memory: deflate it")
             _check_apart([entry.filename for entry in entries])
             return {entry.filename: archive.read(entry) for entry in wanted}
     except ExportError:

@@ -1,5 +1,6 @@
 """design.json: phi with its names, units and bounds; written into every bundle and read back to go on from it."""
 
+import threading
 from pathlib import Path
 
 import msgspec
@@ -18,6 +19,7 @@ FORMAT = 1
 """Format of design.json, which has not changed since the first version."""
 LARGEST = 4 << 20
 """Largest design.json that is read, in bytes; the largest of today's tasks writes a few thousand."""
+_one_at_a_time = threading.Lock()  # however many send one, the memory of a single zip is used
 DESIGN_TYPES = "application/json,application/zip"
 """Types of the files that a browser offers for an upload: a design.json, or a bundle."""
 
@@ -79,7 +81,8 @@ def read_design(content: bytes) -> Design:
     Raise ExportError that says what is wrong.
     """
     if content.startswith(b"PK"):
-        files = unzipped(content, only=FILE, most=LARGEST)
+        with _one_at_a_time:
+            files = unzipped(content, only=FILE, most=LARGEST)
         if FILE not in files:
             raise ExportError(f"this zip holds no {FILE}: it is no bundle of morph-studio")
         content = files[FILE]

@@ -1,7 +1,7 @@
 """What people have noted about a run: a star, a name, a note, tags, and whether it is archived.
 
-It stands in one small file of the run folder, which the studio alone writes and no trainer reads, so that it goes
-wherever the folder goes.
+It stands in one small file of the run folder, which the studio alone writes, so that it goes wherever the folder goes.
+A trainer reads there which designs are starred: it keeps their checkpoints.
 """
 
 from pathlib import Path
@@ -9,8 +9,9 @@ from pathlib import Path
 import msgspec
 
 from morph_core import durable, inside
+from morph_core.run_folder import MARKS
 
-FILE = "marks.json"
+FILE = MARKS
 MOST_STARS = 100
 """Largest number of designs of a run that are starred."""
 LONGEST_NAME, LONGEST_NOTE, LONGEST_TAG, MOST_TAGS = 80, 2000, 32, 12
