@@ -105,7 +105,8 @@ def check_value(name: str, annotation: Any, value: object) -> object:
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{name} must be finite, not {value}")
     if isinstance(value, int) and abs(value) > LARGEST:
-        raise ValueError(f"{name} must be {'at most ' if value > 0 else 'at least -'}{LARGEST}")
+        allowed = _allowed(meta) if meta else f"lie in [-{LARGEST}, {LARGEST}]"
+        raise ValueError(f"{name} must {allowed}, not {'more' if value > 0 else 'less'}")
     if meta:
         _check_range(name, meta, value)
     return bare(value)

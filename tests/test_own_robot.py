@@ -121,10 +121,10 @@ def test_the_help_of_a_run_has_the_settings_of_the_package_with_their_explanatio
     with_parts = ("--search", "scatter", "--exploration", "uniform")
     shown = plain(morph_studio("train", "own_throw", *with_parts, "--help").stdout)
     for line in (
-        "--search.tries INT Designs per search. Allowed: ≥ 1. (default: 64)",
+        "--search.tries INT Designs per search. Allowed: ≥ 1, ≤ 1000000. (default: 64)",
         "--search.radius FLOAT Standard deviation of the designs around phi, in units of each parameter's scale.",
         "--exploration.kappa FLOAT",
-        "--hold FLOAT s: how long the hand stays closed. Allowed: > 0. (default: 0.5)",
+        "--hold FLOAT s: how long the hand stays closed. Allowed: > 0, ≤ 1000000. (default: 0.5)",
     ):
         assert line in shown
     assert re.search(r"--schedule\.iterations INT [^(]*\(default: 60\)", shown)
@@ -145,8 +145,8 @@ def test_the_help_of_a_run_has_the_settings_of_the_package_with_their_explanatio
             '"search.sigma0" does nothing with search scatter, only with cma or cma_d',
         ),
         ("--step 3", '"step" does nothing for morph, only for direct or value_gradient or random_walk; '),
-        ("--search scatter --search.tries 0", "search.tries must be at least 1, not 0"),
-        ("--hold -1", "hold must be positive, not -1"),
+        ("--search scatter --search.tries 0", "search.tries must lie in [1, 1000000], not 0"),
+        ("--hold -1", "hold must lie in (0, 1000000], not -1"),
         ("--search scater", 'can\'t be "scater"; choose from: cma, cma_debiased, drift, gradient, scatter'),
     ],
 )

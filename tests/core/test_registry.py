@@ -133,7 +133,7 @@ def test_an_installed_search_is_chosen_and_set_like_our_own(install: Install, mo
     monkeypatch.setattr(catalogue, "SEARCHES", fresh(SEARCHES))
     method: Any = make_method("morph", make_task("reacher"), {"search": "newton", "search.damping": 2})
     assert (method.search.name, method.search.damping) == ("newton", 2.0)
-    with pytest.raises(ValueError, match=r"^search\.damping must be positive, not -1"):
+    with pytest.raises(ValueError, match=r"^search\.damping must lie in \(0, 1000000\], not -1"):
         make_method("morph", settings={"search": "newton", "search.damping": -1})
     choices = "cma, cma_debiased, drift, gradient, newton"
     with pytest.raises(ValueError, match=f'unknown search "hill"; choose from: {choices}$'):
@@ -190,7 +190,7 @@ def test_a_plug_in_that_raises_is_named_with_the_reason_and_harms_nothing(
         (("def candidates", "def candidate"), "Newton lacks candidates"),
         (('"newton"', '"hooke"'), 'Newton calls itself "hooke", its entry point "newton"'),
         (('name: ClassVar[str] = "newton"', ""), 'Newton calls itself "None", its entry point "newton"'),
-        (("damping: Positive = 1.0", "damping: Positive = -1.0"), "^damping must be positive, not -1"),
+        (("damping: Positive = 1.0", "damping: Positive = -1.0"), r"^damping must lie in \(0, 1000000\], not -1"),
     ],
 )
 def test_a_plug_in_that_is_no_strategy_is_broken(change: tuple[str, str], reason: str, install: Install) -> None:

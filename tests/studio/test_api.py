@@ -86,7 +86,8 @@ def test_tasks_come_with_everything_a_form_needs(served: Served) -> None:
     assert options["tunnel"]["default"] == "zigzag"
     settings = {field["name"]: field for field in reacher["settings"]["morph"]}
     assert settings["alpha"] == {
-        "name": "alpha", "type": "float", "default": 1.0, "choices": None, "lo": 0.0, "hi": None, "range": "≥ 0",
+        "name": "alpha", "type": "float", "default": 1.0, "choices": None, "lo": 0.0, "hi": 1e6,
+        "range": "≥ 0, ≤ 1000000",
         "only_with": None,
         "doc": "alpha: weight of the divergence between proxy and Hw-Phy in Eq. 2.",
     }  # fmt: skip
@@ -225,7 +226,7 @@ def test_a_command_is_numbered_and_acknowledged(served: Served, run_id: str) -> 
         ({"type": "set_bound", "name": "arm", "lo": 1, "hi": 2}, "choose from: link_1"),
         ({"type": "lock", "name": "link_1", "value": -1}, "inside [0.05, 5] m"),
         ({"type": "unlock", "name": "link_7"}, "choose from: link_1"),
-        ({"type": "set_alpha", "alpha": -0.1}, "must not be negative"),
+        ({"type": "set_alpha", "alpha": -0.1}, "must lie in [0, 1000000]"),
         ({"type": "set_projection", "projection": "up"}, "projection"),
         ({"type": "inject_design", "phi": [1, 2]}, "5 are needed"),
         ({"type": "pause", "now": True}, "now"),

@@ -248,7 +248,8 @@ def test_only_allowed_kinds_are_admitted() -> None:
 
     kinds = {kind.__name__ for kind in _messages.Message.get_subclasses()}
     admitted = {kind for kind in kinds if admit(msgspec.msgpack.encode({"type": kind, "updates": {"value": 1}}))}
-    assert admitted == ALLOWED & kinds
+    assert admitted == ALLOWED & kinds - {"ViewerCameraMessage"}
+    assert admit(msgspec.msgpack.encode(CAMERA))
     assert len(kinds) > 100
 
 
@@ -283,15 +284,14 @@ def test_the_sieve_never_raises(noise: bytes) -> None:
 )
 def test_the_sieve_judges_any_message(content: object) -> None:
     message = {"type": "GuiUpdateMessage", "uuid": "u", "updates": {"value": content}}
-    has_odd_number = "nan" in repr(content) or "inf" in repr(content)
     if admit(msgspec.msgpack.encode(message)):
         assert not _has_odd_number(content)
     else:
-        assert has_odd_number or not isinstance(content, int | str | bool | type(None))
+        assert _has_odd_number(content) or not isinstance(content, int | str | bool | float | type(None))
 
 
 def _has_odd_number(value: object) -> bool:
-    if isinstance(value, float):
-        return not math.isfinite(value)
-    items = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if isinstance(value, int | float):
+        return not abs(value) < 2**53
+    items = [*value, *value.values()] if isinstance(value, dict) else value if isinstance(value, list) else ()
     return any(_has_odd_number(item) for item in items)

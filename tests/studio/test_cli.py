@@ -185,7 +185,7 @@ def test_the_command_line_does_not_load_torch() -> None:
         ("train reacher --tunnel straight", "choose from: zigzag, paper"),
         ("train reacher --alpha nan", "alpha must be finite, not nan"),
         ("train reacher --alpha inf", "alpha must be finite, not inf"),
-        ("train reacher --alpha -1", "alpha must not be negative"),
+        ("train reacher --alpha -1", "alpha must lie in [0, 1000000]"),
         ("train reacher --alpha x", "--alpha: 'x' is no number"),
         ("train reacher --alpha", "--alpha needs a value"),
         ("train reacher --trajectories 7", "trajectories must be a multiple of 2"),

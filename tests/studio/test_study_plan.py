@@ -199,7 +199,7 @@ REFUSED = [
     ("reacher --methods morhp --env-steps 1e5 --out study", 'unknown method "morhp"; choose from: morph, '),
     ("reacher --methods morph,alpha --env-steps 1e5 --out study", "write setting=value"),
     ("reacher --methods morph,alpha=1,alpha=2 --env-steps 1e5 --out study", "sets alpha twice"),
-    ("reacher --methods morph,alpha=-1 --env-steps 1e5 --out study", "alpha must not be negative, not -1"),
+    ("reacher --methods morph,alpha=-1 --env-steps 1e5 --out study", "alpha must lie in [0, 1000000], not -1"),
     ("reacher --methods direct,alpha=1 --env-steps 1e5 --out study", '"alpha" does nothing for direct, only for'),
     ("reacher,tunnle=1 --methods direct --env-steps 1e5 --out study", 'has no option "tunnle"; choose from'),
     ("reacher reacher --methods direct --env-steps 1e5 --out study", 'have the task "reacher"'),
