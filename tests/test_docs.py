@@ -39,6 +39,7 @@ def test_readme_and_docs_show_every_command() -> None:
         "train",
         "study",
         "runs",
+        "stop",
         "log",
         "replay",
         "evaluate",
