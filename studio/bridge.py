@@ -232,8 +232,9 @@ async def relay(browser: WebSocket, guarded: GuardedViser, address: str) -> None
             if message["type"] == "websocket.disconnect":
                 return
             content = message.get("bytes")
-            is_short = content is not None and len(content) <= MAX_MESSAGE
-            passed = guarded.passed_on(content, browser) if is_short else None
+            passed = None
+            if content is not None and len(content) <= MAX_MESSAGE:
+                passed = guarded.passed_on(content, browser)
             if passed is None:
                 guarded.dropped.warn("dropped a message that a browser may not send to the viewer")
             else:

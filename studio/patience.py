@@ -2,9 +2,12 @@
 
 import asyncio
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from uvicorn.protocols.http.auto import AutoHTTPProtocol
+if TYPE_CHECKING:
+    from uvicorn.protocols.http.h11_impl import H11Protocol as HttpProtocol
+else:
+    from uvicorn.protocols.http.auto import AutoHTTPProtocol as HttpProtocol
 
 SECONDS = 15.0
 """Seconds between two looks at a connection: one that waits for the same at both is closed, so that a request has 15 to
@@ -13,7 +16,7 @@ MOST_WAITING = 128
 """Largest number of connections without a request in progress; one more takes the place of the oldest of them."""
 
 
-class PatientProtocol(AutoHTTPProtocol):
+class PatientProtocol(HttpProtocol):
     """A connection that is closed where its request does not come, and gives way to others meanwhile."""
 
     _look_again: asyncio.TimerHandle | None = None

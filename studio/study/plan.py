@@ -343,5 +343,6 @@ def _record(study: Study, planned: PlannedRun, task: PlannedTask, variant: Varia
         iterations=limits.iterations_within(study.env_steps, method.trajectories),
         env_steps=study.env_steps,
         final_episodes=study.final_episodes,
+        costly=True,  # a study is cancelled as a whole, and its trainers obey signals
     )
     return msgspec.structs.replace(record_of(wish, made_on=here), id=planned.run)

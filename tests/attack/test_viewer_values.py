@@ -122,7 +122,7 @@ def test_a_value_that_rounding_has_moved_past_the_end_is_the_end(page: Page) -> 
     gui = page.guarded.server.gui
     number = gui.add_number("gap", 0.5, min=0.123456, max=0.987654, step=0.001)
     element = element_of(page.guarded.server, number._impl.uuid)
-    digits = number._impl.props.precision
+    digits = element.props.precision
     assert settled(element, 0.123456 - 0.4 * 10.0**-digits) == 0.123456
     with pytest.raises(ValueError, match="lies outside"):
         settled(element, 0.123456 - 0.6 * 10.0**-digits)

@@ -131,7 +131,8 @@ def unheeded(runs_folder: Path) -> tuple[Runs, str]:
 
 def age(folder: RunFolder, seconds: float) -> None:
     for path, _ in folder.pending():
-        os.utime(path, (time.time() - seconds,) * 2)
+        then = time.time() - seconds
+        os.utime(path, (then, then))
 
 
 def kill_by_command_line(runs: Runs, name: str) -> None:
