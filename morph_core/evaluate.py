@@ -21,6 +21,9 @@ from morph_core.run_folder import RunFolder, RunFolderError
 from morph_core.task import Task
 from morph_core.what_if import Measured, wilson_interval
 
+MOST_EPISODES = 100_000
+"""Largest number of episodes that a design is measured on: they are simulated at once."""
+
 
 def evaluate_run(
     folder: RunFolder, which: str, episodes: int, seed: int = 0, other_phi: list[float] | None = None
@@ -89,8 +92,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--phi", type=json.loads, help="a JSON list: another design in its place")
     options = parser.parse_args()
-    if options.episodes < 1:
-        parser.error(f"--episodes must be at least 1, not {options.episodes}")
+    if not 1 <= options.episodes <= MOST_EPISODES:
+        parser.error(f"--episodes must be a whole number from 1 to {MOST_EPISODES}, not {options.episodes}")
     torch.set_num_threads(1)
     try:
         result = evaluate_run(

@@ -55,6 +55,8 @@ HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
 PAUSED = "it keeps its core, on a cluster too: Resume goes on, Stop saves and frees the core"
+LAST_ITERATION = 10**9
+"""Largest number of iterations that a trainer can be asked for."""
 SHOWN_DESIGNS = 64
 """Largest number of explored designs, and of designs that CMA-ES tried, that are kept with an evaluation."""
 _SAVED_AFTER = AnyEdit | protocol.Checkpoint
@@ -491,10 +493,10 @@ def main() -> int:
         options.run, options.further = Path(order["run"]), order["further"]
         options.from_start = order.get("from_start", False)
         _say_into(options.run / "trainer.log")
-    if options.further is not None and options.further < 1:
-        parser.error(f"--further must be at least 1, not {options.further}")
-    if options.until is not None and options.until < 1:
-        parser.error(f"--until must be at least 1, not {options.until}")
+    for name in ("further", "until"):
+        asked = getattr(options, name)
+        if asked is not None and not 1 <= asked <= LAST_ITERATION:
+            parser.error(f"--{name} must be a whole number from 1 to {LAST_ITERATION}, not {asked}")
     try:
         return train(RunFolder(options.run.resolve()), options.further, options.until, options.from_start)
     except (RunFolderError, OSError) as error:

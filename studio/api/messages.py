@@ -247,6 +247,7 @@ REFUSALS: dict[int | str, dict[str, object]] = {
     status: {"description": text, "content": {"application/json": {"schema": schema(Refusal)}}}
     for status, text in {
         401: "No token",
+        429: "Too many wrong tokens",
         403: "Wrong Host or Origin",
         404: "No such run, design or file",
         413: "A body that is too long",

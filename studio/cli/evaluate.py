@@ -15,6 +15,7 @@ import tyro
 import morph_core
 from morph_core.design import DesignSpace
 from morph_core.history import History
+from studio import limits
 from studio.cancellation import Cancellation
 from studio.cli.arguments import Count, RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import check_design, open_run
@@ -51,8 +52,10 @@ class EvaluateArguments(RunsArguments):
 def main(words: Sequence[str]) -> int:
     """Run `morph-studio evaluate` with these words; return the exit status."""
     arguments = parse(EvaluateArguments, words, "evaluate")
-    if arguments.episodes < 1:
-        raise UsageError(f"evaluate: --episodes must be at least 1, not {arguments.episodes}")
+    try:
+        limits.whole("--episodes", arguments.episodes, 1, limits.MAX_FINAL_EPISODES)
+    except ValueError as error:
+        raise UsageError(f"evaluate: {error}") from error
     history = open_run(arguments.runs, arguments.run)
     check_design(history, arguments.design)
     phi = _other_phi(history, arguments)

@@ -19,6 +19,7 @@ from morph_core.origin import Origin, origin_at
 from morph_core.protocol import Parameter, Resume
 from morph_core.pulse import at_work
 from morph_core.run_folder import LAUNCH, RunFolder
+from studio import limits
 from studio.cli.arguments import RunsArguments, UsageError, value_after
 from studio.cli.choice import open_run, place_of
 from studio.cli.follow import Outcome, follow
@@ -77,8 +78,10 @@ def main(words: Sequence[str]) -> int:
     """Run `morph-studio train` with these words; return the exit status. UsageError says what is allowed."""
     found = _asked(words)
     wanted, asked = found.wanted, found.wanted.arguments
-    if asked.iterations is not None and asked.iterations < 1:
-        raise UsageError(f"train: --iterations must be at least 1, not {asked.iterations}")
+    try:
+        limits.iterations(1 if asked.iterations is None else asked.iterations, "--iterations")
+    except ValueError as error:
+        raise UsageError(f"train: {error}") from error
     if asked.resume is not None and asked.env_steps is not None:
         raise UsageError("train: a run keeps the budget it was started with: leave out --env-steps")
     if asked.from_start and asked.resume is None:

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import tyro
 
+from studio import limits
 from studio.cli.arguments import Count, UsageError, parse
 
 NOT_PROVED = (
@@ -35,8 +36,10 @@ class VerifyArguments:
 def main(words: Sequence[str]) -> int:
     """Run `morph-studio verify` with these words; return the exit status, 1 if anything disagrees."""
     arguments = parse(VerifyArguments, words, "verify")
-    if arguments.episodes < 0:
-        raise UsageError(f"verify: --episodes must not be negative, and is {arguments.episodes}")
+    try:
+        limits.whole("--episodes", arguments.episodes, 0, limits.MAX_FINAL_EPISODES)
+    except ValueError as error:
+        raise UsageError(f"verify: {error}") from error
     from studio.export.apart import prove_apart
     from studio.export.archive import read_files
     from studio.export.errors import ExportError

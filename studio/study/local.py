@@ -24,6 +24,7 @@ from morph_core import durable, inside
 from morph_core.history import History
 from morph_core.protocol import Progress
 from morph_core.run_folder import LAUNCH, SMALL_BYTES, RunFolder, RunFolderError, process_alive
+from studio import limits
 from studio.inquest import Child, start_child
 from studio.study.launcher import Launcher, Place
 from studio.study.standing import stopped_by_user
@@ -105,8 +106,7 @@ class Local(Launcher):
     _leaving: bool = field(default=False, init=False)
 
     def check(self) -> None:
-        if self.slots < 1:
-            raise ValueError(f"slots must be at least 1, not {self.slots}")
+        limits.whole("slots", self.slots, 1, limits.MAX_TRAINERS)
 
     def submit(self, directory: Path, runs: Sequence[str]) -> None:
         for run in runs:

@@ -65,8 +65,8 @@ class Page:
         seated = len(self.viewers)
         with self.browser() as browser:
             browser.send(msgspec.msgpack.encode(CAMERA))
-            browser.recv(timeout=10)
-            return bool(eventually(lambda: len(self.viewers) > seated))
+            browser.recv(timeout=60)
+            return bool(eventually(lambda: len(self.viewers) > seated, 60))
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +74,10 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     page = Page(tmp_path_factory.mktemp("values") / "runs")
     with page.browser() as browser:
         browser.send(msgspec.msgpack.encode(CAMERA))
-        assert eventually(lambda: page.viewers)
+        assert eventually(lambda: page.viewers, 60)
         history = History(page.folder)
         page.desks.show({NAME: history}, {NAME: ("finished", "")}, NAME)
-        assert eventually(lambda: len(page.elements()) > 40)
+        assert eventually(lambda: len(page.elements()) > 40, 60)
         yield page
     page.desks.stop()
     page.guarded.stop()

@@ -308,7 +308,7 @@ def test_until_is_the_last_iteration_however_often_a_trainer_is_started(tmp_path
         assert trained(folder, "--until", "5").iteration == 5
     wrong = TrainerProcess(folder, "--until", "0")
     assert wrong.wait() == 2
-    assert "--until must be at least 1" in wrong.errors()
+    assert "--until must be a whole number from 1 to 1000000000" in wrong.errors()
 
 
 def test_what_a_trainer_says_reaches_the_disk_while_it_learns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

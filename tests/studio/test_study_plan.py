@@ -219,7 +219,10 @@ REFUSED = [
         "reacher --methods direct --env-steps 1e5 --out study --launcher ray",
         'unknown launcher "ray"; choose from: local',
     ),
-    ("reacher --methods direct --env-steps 1e5 --out study --slots 0", "slots must be at least 1, not 0"),
+    (
+        "reacher --methods direct --env-steps 1e5 --out study --slots 0",
+        "slots must be a whole number from 1 to 1024, not 0",
+    ),
     ("--status nowhere", "nowhere holds no study"),
     ("--cancel nowhere", "nowhere holds no study"),
     ("--report nowhere", "nowhere holds no study"),

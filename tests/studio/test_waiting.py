@@ -89,6 +89,7 @@ def test_a_resumed_run_waits_like_a_new_one_with_all_that_was_asked(runs: Runs) 
     assert eventually(lambda: set(states(runs).values()) == {"running"})
     runs.send(names[0], Stop())
     assert eventually(lambda: states(runs)[names[0]] == "stopped")
+    assert eventually(lambda: not runs._inquest.is_alive(runs.get(names[0])))
     runs.start(WISH)
     runs.resume(names[0], 7)
     assert Waiting(runs.folder).all() == [Wait(names[0], 7)]
