@@ -338,7 +338,8 @@ class Runs:
                 with contextlib.suppress(RunFolderError):  # removed while it waited
                     folder = find_run(self.folder, first.run)
                     with self._turn(folder.id):
-                        self._launch(folder, first.further, first.from_start)
+                        if not self._inquest.is_alive(self.get(folder.id)):  # somebody else was faster
+                            self._launch(folder, first.further, first.from_start)
 
     def resume(self, run_id: str, further: int | None = None, from_start: bool = False) -> None:
         """Start a trainer that goes on from the newest checkpoint; ValueError if one is at work or nothing is left.

@@ -729,6 +729,29 @@ MUTANTS: tuple[Mutant, ...] = (
         "core/test_envs.py::test_the_vector_environment_is_sync_vector_env_over_episodes_that_restart[reacher]",
         ("first + i for i in", "first for i in"),
     ),
+    # --- numbers that enter ---
+    *_of(
+        f"{CORE}/config.py", "core/test_catalogue.py",
+        ("upper = wide if narrow.le is None and narrow.lt is None else narrow", "upper = wide"),
+        ("above = hi is not None and (value > hi", "above = hi is not None and (value > 2 * hi"),
+    ),
+    *_of(
+        "studio/elements.py", "attack/test_viewer_values.py",
+        ("if whole and value != int(value)", "if False"),
+        ("slack = 0.0 if whole else slack", "slack = slack"),
+        ("return min(max(value, lo), hi)", "return value"),
+    ),
+    *_of(
+        f"{CORE}/undo.py", "core/test_undo.py",
+        ("e.iteration == last", "e.iteration < last"),
+        ("state.alpha, state.projection = before.alpha, before.projection", "pass"),
+    ),
+    *_of(
+        f"{CORE}/keeping.py", "core/test_keeping.py",
+        ("if iteration % every and iteration not in kept", "if iteration % every"),
+        ("iteration <= asked", "iteration < asked"),
+        ("*saved[-2:], ", ""),
+    ),
     # --- what a browser may say ---
     *_of(
         "studio/bridge.py", "studio/test_bridge.py::test_a_number_that_is_none_is_dropped_wherever_it_stands",
