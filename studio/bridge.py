@@ -47,22 +47,25 @@ MAX_PARTS = 64
 """Largest number of parts of an uploaded file, of half a megabyte each; an exported design has a few."""
 
 
+Word = Annotated[str, msgspec.Meta(max_length=500)]
+
+
 class UploadStart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransferStartUpload"):
     """Message by which a browser announces a file for an upload button."""
 
-    source_component_uuid: str
-    transfer_uuid: str
-    filename: str
-    mime_type: str
+    source_component_uuid: Word
+    transfer_uuid: Word
+    filename: Word
+    mime_type: Word
     part_count: Annotated[int, msgspec.Meta(ge=1, le=MAX_PARTS)]
-    size_bytes: Annotated[int, msgspec.Meta(ge=1, le=MAX_PARTS * MAX_MESSAGE)]
+    size_bytes: Annotated[int, msgspec.Meta(ge=1, le=MAX_PARTS << 19)]
 
 
 class UploadPart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransferPart"):
     """Message that carries one part of an announced file."""
 
-    source_component_uuid: str
-    transfer_uuid: str
+    source_component_uuid: Word
+    transfer_uuid: Word
     part_index: Annotated[int, msgspec.Meta(ge=0, lt=MAX_PARTS)]
     content: bytes
 

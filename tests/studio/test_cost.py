@@ -34,9 +34,7 @@ def test_no_method_is_absurd_as_it_was_found_to_work(name: str) -> None:
 )
 def test_what_is_absurd_is_asked_about_and_leaves_nothing(tmp_path: Path, settings: dict[str, Any]) -> None:
     wish = StartRun(task="reacher", settings=settings)
-    with pytest.raises(
-        ValueError, match=r"an iteration of this run would take about \d+ (minutes|hours|days), and only"
-    ):
+    with pytest.raises(ValueError, match=r"an iteration of this run would take about \d+ (minutes|hours|days)"):
         prepare_run(tmp_path, wish)
     assert not list(tmp_path.iterdir())
     method = make_method("morph", REACHER, settings)
