@@ -115,17 +115,22 @@ class Access:
             return False
         return morsel is not None and _same(morsel.value, self._cookie)
 
-    def knows(self, headers: Headers, address: str) -> bool:
+    def knows(self, headers: Headers, address: str = "") -> bool:
         """Tell whether the request carries the cookie, or the token where one was given; a wrong token is noted."""
         if self.has_cookie(headers):
             return True
-        scheme, _, bearer = headers.get("authorization", "").partition(" ")
-        if scheme.lower() != "bearer":
+        bearer = _bearer(headers)
+        if bearer is None:
             return False
-        if self._token is not None and _same(bearer.strip(), self._token):
+        if self._token is not None and _same(bearer, self._token):
             return True
         self.guesses.note(address)
         return False
+
+    def is_slowed(self, headers: Headers, ticket: str, address: str) -> bool:
+        """Tell whether the request brings a token that is not looked at: too many from there were wrong."""
+        brings_token = bool(ticket) or _bearer(headers) is not None
+        return brings_token and not self.has_cookie(headers) and self.guesses.are_too_many(address)
 
     def refusal(self, headers: Headers) -> str | None:
         """Return why Host or Origin are wrong, or None. Whether Origin may be missing is left to the caller."""
@@ -173,13 +178,13 @@ class Guard:
         if path in OPEN_PATHS:
             return None
         address = _address_of(scope)
-        if not self.access.has_cookie(headers) and self.access.guesses.are_too_many(address):
+        ticket = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0] if path in PAGES else ""
+        if self.access.is_slowed(headers, ticket, address):
             return JSONResponse(
                 {"detail": "too many wrong tokens: wait a minute"}, 429, {"Retry-After": str(int(GUESSED_WITHIN))}
             )
         known = self.access.knows(headers, address)
         if path in PAGES and scope["method"] in ("GET", "HEAD"):
-            ticket = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
             if ticket and (known or self.access.redeem(ticket)):
                 return self._enter(scope)
             if not known:
@@ -210,7 +215,7 @@ class Guard:
         status, address = 0, _address_of(scope)
         if self.access.refusal(headers) or "origin" not in headers:
             status = 403
-        elif not self.access.has_cookie(headers) and self.access.guesses.are_too_many(address):
+        elif self.access.is_slowed(headers, "", address):
             status = 429
         elif not self.access.knows(headers, address):
             status = 401
@@ -239,6 +244,12 @@ def kept_key(folder: Path) -> bytes:
         return fresh
     private = status.st_uid == os.getuid() and not status.st_mode & 0o077
     return key if private and len(key) == len(fresh) else fresh
+
+
+def _bearer(headers: Headers) -> str | None:
+    """Return the token of an Authorization header, or None where there is no such header."""
+    scheme, _, bearer = headers.get("authorization", "").partition(" ")
+    return bearer.strip() if scheme.lower() == "bearer" else None
 
 
 def _address_of(scope: Scope) -> str:

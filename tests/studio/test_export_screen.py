@@ -188,7 +188,7 @@ def test_a_broken_stream_is_refused_whatever_packed_it(method: int) -> None:
         archive.writestr("design.json", json.dumps(list(range(2000))))
     content = bytearray(buffer.getvalue())
     content[60:68] = b"\xff" * 8
-    with pytest.raises(ExportError, match="no zip that can be read"):
+    with pytest.raises(ExportError, match=r"no zip that can be read|deflate it"):
         unzipped(bytes(content))
 
 
