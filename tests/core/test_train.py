@@ -23,7 +23,7 @@ from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, StateChanged
 from morph_core.run_folder import EventLog, RunFolder, read_episode
 from morph_core.searches.cma import Cma
 from morph_core.state import start
-from morph_core.train import SHOWN_DESIGNS, Trainer, _keep_beating, apply_edit
+from morph_core.train import SHOWN_DESIGNS, Trainer, _keep_beating, apply_edit, train
 from tests.core.conftest import SMALL, make_run, small_method
 from tests.forked import trainer
 
@@ -333,13 +333,15 @@ def test_a_second_trainer_on_one_folder_is_refused(tmp_path: Path) -> None:
     assert first.wait(30) == 0
 
 
-def test_a_failure_is_said_with_its_reason(tmp_path: Path) -> None:
-    folder = make_run(tmp_path, method=small_method("morph", {"ppo.learning_rate": 1e30}))
-    process = trainer(folder)
-    assert process.wait() == 1
+def test_a_failure_is_said_with_its_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = make_run(tmp_path, iterations=1)
+    monkeypatch.setattr("morph_core.train.all_finite", lambda _: False)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    assert train(folder) == 1
     history = History(folder)
     assert history.status == "failed"
-    assert "NaN" in history.message
+    assert history.message == "FloatingPointError: a value became infinite or NaN in iteration 1"
+    assert history.iteration == 0
 
 
 def test_a_disk_that_is_full_pauses_the_run_and_loses_nothing(tmp_path: Path) -> None:
