@@ -338,8 +338,8 @@ class Runs:
                 with contextlib.suppress(RunFolderError):  # removed while it waited
                     folder = find_run(self.folder, first.run)
                     with self._turn(folder.id):
-                        if not self._inquest.is_alive(self.get(folder.id)):  # somebody else was faster
-                            self._launch(folder, first.further, first.from_start)
+                        if not self._inquest.is_alive(self.get(folder.id)):  # else somebody was faster
+                            self._launch_or_wait(folder, first)
 
     def resume(self, run_id: str, further: int | None = None, from_start: bool = False) -> None:
         """Start a trainer that goes on from the newest checkpoint; ValueError if one is at work or nothing is left.
@@ -435,6 +435,14 @@ class Runs:
 
     def _launch(self, folder: RunFolder, further: int | None = None, from_start: bool = False) -> None:
         self._inquest.begin(folder, lambda: self._spawn(folder, further=further, from_start=from_start))
+
+    def _launch_or_wait(self, folder: RunFolder, wait: Wait) -> None:
+        """Start a trainer; where the system has no room for another process, the run waits on."""
+        try:
+            self._launch(folder, wait.further, wait.from_start)
+        except OSError:
+            self._waiting.add(wait)
+            raise
 
     def _in_queue(self, folder: RunFolder, status: Status, reason: str) -> tuple[Status, str]:
         """Return what a run does and why, with what the queue, or Slurm, says of it where its folder can't tell."""

@@ -119,6 +119,21 @@ def test_what_is_no_file_of_the_queue_is_passed_over(tmp_path: Path) -> None:
     assert waiting.place("last") == 2
 
 
+def test_a_run_that_can_not_be_started_now_waits_on(runs_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = Runs(runs_folder, stand_in, trainers=1)
+    runs.start(WISH)
+    second = runs.start(WISH)
+    monkeypatch.setattr(runs, "_trainers", 2)
+
+    def no_room(folder: RunFolder, **_: object) -> subprocess.Popen[bytes]:
+        raise BlockingIOError(11, f"no process for {folder.id}")
+
+    monkeypatch.setattr(runs, "_spawn", no_room)
+    with pytest.raises(BlockingIOError):
+        runs.tend()
+    assert Waiting(runs_folder).place(second) == 1
+
+
 # --- a stop that is not obeyed ----------------------------------------------------------------------------------------
 
 
