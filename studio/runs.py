@@ -447,7 +447,8 @@ class Runs:
     def _in_queue(self, folder: RunFolder, status: Status, reason: str) -> tuple[Status, str]:
         """Return what a run does and why, with what the queue, or Slurm, says of it where its folder can't tell."""
         if status not in ("running", "pausing", "paused") and (place := self._waiting.place(folder.id)):
-            return "queued", f"number {place} in the queue: {self._trainers or 'enough'} trainers are at work already"
+            full = "one trainer is" if self._trainers == 1 else f"{self._trainers or 'enough'} trainers are"
+            return "queued", f"number {place} in the queue: {full} at work already"
         if status == "lost" and (folder.path / CANCELLED).exists() and not folder.read_events()[0]:
             return "stopped", "taken out of the queue before it had begun; Resume starts it"
         launch = slurm_launch(folder) if status in _TOLD_BY_SLURM else None
