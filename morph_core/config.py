@@ -72,10 +72,8 @@ def _narrowed(wide: Meta, narrow: Meta) -> Meta:
     """Return a range with the ends of `narrow`, and those of `wide` where that has none."""
     lower = wide if narrow.ge is None and narrow.gt is None else narrow
     upper = wide if narrow.le is None and narrow.lt is None else narrow
-    return Meta(
-        ge=lower.ge, gt=lower.gt, le=upper.le, lt=upper.lt, description=upper.description,
-        multiple_of=narrow.multiple_of or wide.multiple_of,
-    )  # fmt: skip
+    ends: dict[str, Any] = {"ge": lower.ge, "gt": lower.gt, "le": upper.le, "lt": upper.lt}
+    return Meta(**ends, description=upper.description, multiple_of=narrow.multiple_of or wide.multiple_of)
 
 
 def limits(meta: Meta | None) -> tuple[float | None, float | None]:
