@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from msgspec import Meta
 
+from morph_core.config import most
 from morph_core.exploration import run_trajectories
 from morph_core.method import Method
 from morph_core.protocol import Progress
@@ -40,7 +41,7 @@ class Transform2Act(Method):
     mean step leads to where the design was moved. A design that can't be built is drawn back towards phi until it can.
     """
 
-    design_std: Annotated[float, Meta(ge=0.02, le=2.0)] = 0.1
+    design_std: Annotated[float, Meta(ge=0.02), most(2.0, "every design would lie on the edge of its box")] = 0.1
     """Standard deviation of the design's step at the start, in the mapped space where the bounds are -1 and 1."""
     credit: Literal["gae", "balanced"] = "gae"
     """Rule by which designs are credited: `gae` lets advantages go straight through both stages, as the original does;

@@ -127,7 +127,7 @@ def test_another_tunnel_is_seen_before_the_start(page: Page) -> None:
     ("name", "value", "sentence"),
     [
         ("alpha", math.nan, "alpha must be finite"),
-        ("alpha", -1.0, r"alpha must lie in \[0, 1000000\]"),
+        ("alpha", -1.0, "alpha must lie in [0, 1000000]"),
         ("seed", -1, "seed must be a whole number from 0"),
         ("iterations", 0, "iterations must be a whole number from 1"),
         ("iterations", 10**9, "iterations must be a whole number from 1 to 1000000"),
