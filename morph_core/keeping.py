@@ -1,4 +1,4 @@
-"""Which checkpoints of a run are kept: few enough for the disk of a long run, and none that somebody has chosen."""
+"""The checkpoints of a run that are kept: few enough for the disk of a long run, and all that somebody has chosen."""
 
 import contextlib
 import math

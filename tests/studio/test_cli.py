@@ -162,7 +162,10 @@ def test_the_command_line_does_not_load_torch() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ("brew", "choose from: serve, train, study, runs, log, replay, evaluate, compare, export, verify, import"),
+        (
+            "brew",
+            "choose from: serve, train, study, runs, stop, log, replay, evaluate, compare, export, verify, import",
+        ),
         ("train", "choose from: reacher, pen_press, mouse_click"),
         ("train reacher --env-steps 0", "env_steps must be a whole number from 1 to 1000000000000, not 0"),
         ("train reacher --env-steps 0.5", "not 0.5"),
