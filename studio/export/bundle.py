@@ -13,27 +13,28 @@ import numpy as np
 from morph_core.catalogue import make_task
 from morph_core.config import flattened
 from morph_core.history import History
-from morph_core.picture import picture
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
 from morph_core.task import Task
+from studio.export import onnx_policy
 from studio.export.archive import zipped
 from studio.export.check import Check
 from studio.export.control import control_settings
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
-from studio.export.meshes import glb, start_posture, three_mf
+from studio.export.meshes import glb, three_mf
 from studio.export.mjcf import oldest_reader, write_mjcf
 from studio.export.policy import Policy, Score, policy_at, policy_files
-from studio.export.proof import PROVENANCE, prove_policy, prove_robot
+from studio.export.proof import PROVENANCE, check_onnx, prove_policy, prove_robot
 from studio.export.provenance import provenance_of
-from studio.export.report import bill_of_materials, report
+from studio.export.report import Sheet, bill_of_materials, report
 from studio.export.ros import package_name, ros_package
 from studio.export.step import step_files
 from studio.export.urdf import write_urdf
+from studio.export.views import views_of
 from studio.export.zero import hold_keyframes, moved_zero, servo_targets
 from studio.robots.chooser import robot_of
-from studio.robots.parts import MILLIMETRE, Part, body_of, colours_of, dress, stl_files
+from studio.robots.parts import Part, colours_of, dress, stl_files
 from studio.robots.robot import Program, Robot
 
 FORMATS = ("mjcf", "urdf", "stl", "3mf", "glb")
@@ -106,6 +107,9 @@ def _build(
     program = robot.program(phi) if policy and "mjcf" in formats else None
     if policy and program:
         files |= policy_files(policy, program, task.horizon)
+        if onnx_policy.is_available():
+            files[onnx_policy.FILE] = onnx_policy.onnx_file(policy, program, _facts(task, history, iteration))
+            checks.append(check_onnx(files, task, phi))
         found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), EPISODES)
         checks += compared
         scores = [*([msgspec.structs.replace(found, where="at export")] if found else []),
@@ -113,10 +117,20 @@ def _build(
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     files[FILE] = _json(msgspec.to_builtins(design))
-    files |= _papers(task, design, phi, parts, program, scores, recorded, formats, _oldest(files))
+    episodes = _episodes(history, recorded) if recorded else None
+    files |= _papers(task, design, phi, parts, program, scores, recorded, episodes, formats, _oldest(files))
     provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores, _oldest(files))
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
     return files, checks
+
+
+def _facts(task: Task, history: History, iteration: int) -> dict[str, object]:
+    """Return what a reader of the policy alone wants to know of it."""
+    about = "the policy's mean, asked once in each control step; run_policy.py of the bundle shows how it is used"
+    return {
+        "about": about, "control_step_s": task.control_dt, "task": task.name, "run": history.folder.id,
+        "iteration": iteration,
+    }  # fmt: skip
 
 
 def parts_of_design(robot: Robot, phi: np.ndarray) -> list[Part]:
@@ -182,30 +196,26 @@ def _papers(
     program: Program | None,
     scores: Sequence[Score],
     recorded: Evaluation | None,
+    episodes: int | None,
     formats: Sequence[str],
     oldest: str,
 ) -> dict[str, bytes]:
     """Return what is written for people."""
     robot = robot_of(task)
+    held = [*formats, "onnx"] if program and onnx_policy.is_available() else formats
     papers = {
-        "README.txt": _readme(task, robot, formats, program, oldest).encode(),
+        "README.txt": _readme(task, robot, held, program, oldest).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
-    image = None
     if robot.printed:
         papers["BOM.csv"] = bill_of_materials(parts, robot)
-    if parts:
-        model = task.spec(phi).compile()
-        data, colours = start_posture(model), colours_of(model, parts)
-        surfaces = []
-        for part in parts:
-            for link in part.links:
-                body = body_of(model, link)
-                placed = MILLIMETRE * part.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
-                surfaces.append((placed[part.faces], colours[link][:3]))
-        image = picture(surfaces)
-    measured = next((score for score in scores if score.where == "at export"), None)
-    papers["report.html"] = report(design, robot, image, parts, measured, recorded, program)
+    sheet = Sheet(
+        title=task.title, design=design, robot=robot, parts=parts,
+        views=views_of(task.spec(phi).compile(), parts) if parts else None, formats=held, scores=scores,
+        recorded=recorded, episodes=episodes, program=program,
+        no_onnx="" if onnx_policy.is_available() else onnx_policy.MISSING,
+    )  # fmt: skip
+    papers["report.html"] = report(sheet)
     return papers
 
 
@@ -236,7 +246,9 @@ def _readme(task: Task, robot: Robot, formats: Sequence[str], program: Program |
     }
     said = [lines[kind] for kind in lines if kind in formats]
     if program:
-        said.append("\n         ".join([f"Policy:  {program.command}", *program.about]))
+        graph = "policy.onnx is the same, as one graph in physical units: python policy.py compares both"
+        graph = graph if "onnx" in formats else f"no policy.onnx: {onnx_policy.MISSING}"
+        said.append("\n         ".join([f"Policy:  {program.command}", *program.about, graph]))
     return "\n".join([*said, "Check:   morph-studio verify THIS_BUNDLE", "More:    report.html", ""])
 
 
@@ -244,8 +256,14 @@ def _promised(history: History, recorded: Evaluation | None, policy: Policy) -> 
     """Return what training has measured with this very policy."""
     if recorded is None or policy.iteration != recorded.iteration:
         return []
+    episodes = _episodes(history, recorded)
+    return [Score(episodes, recorded.sampled_success, "in training")] if episodes else []
+
+
+def _episodes(history: History, recorded: Evaluation) -> int | None:
+    """Return over how many episodes training has measured success; None where nobody wrote it down."""
     episodes = recorded.episodes or flattened(history.record.config).get("evaluation.episodes")
-    return [Score(episodes, recorded.sampled_success, "in training")] if isinstance(episodes, int) else []
+    return episodes if isinstance(episodes, int) else None
 
 
 def bundle_name(history: History, which: str, *, by_hand: bool = False) -> str:

@@ -15,6 +15,7 @@ from manifold3d import Error, Manifold, Mesh64
 
 from morph_core.catalogue import make_task
 from morph_core.task import Task
+from studio.export import onnx_policy
 from studio.export.check import Check, relative, worst
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
 from studio.export.meshes import start_posture
@@ -61,8 +62,10 @@ def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = Fals
         if not all(check.passed for check in checks[1:]):
             return checks  # no reader sees what asks for more than a bundle needs
         checks += _prove_physics(files, design, task, phi)
-        if "run_policy.py" in files:
-            checks += _guarded("run_policy.py", lambda: [_check_program(files["run_policy.py"], task, phi)])
+        if {"run_policy.py", "policy.py"} & files.keys():
+            checks += _guarded("run_policy.py", lambda: _check_program(files, task, phi))
+        if onnx_policy.FILE in files:
+            checks.append(check_onnx(files, task, phi))
         checks += prove_robot(files, design, task, phi, only_mujoco=only_mujoco)
         if episodes and "policy.npz" in files:
             checks += prove_policy(files, task, phi, _promised(files), episodes)[1]
@@ -78,12 +81,29 @@ def _check_name(design: Design, task: Task) -> Check:
     return Check(f"{FILE}: robot", float(not same), 0.0, "" if same else f"{design.robot[:40]!r}, not {expected}")
 
 
-def _check_program(content: bytes, task: Task, phi: np.ndarray) -> Check:
+def _check_program(files: Mapping[str, bytes], task: Task, phi: np.ndarray) -> list[Check]:
     """Compare the program that runs the policy with the one that this version ships."""
-    program = robot_of(task).program(phi)
-    same = program is not None and content == program.source
-    said = "" if same else "not the program that this version ships: read it before you run it"
-    return Check("run_policy.py: the program that is shipped", float(not same), 0.0, said)
+    checks = []
+    for path, source in robot_of(task).program(phi).sources.items():
+        if path not in files:
+            continue
+        same = files[path] == source
+        said = "" if same else "not the program that this version ships: read it before you run it"
+        checks.append(Check(f"{path}: the program that is shipped", float(not same), 0.0, said))
+    return checks
+
+
+def check_onnx(files: Mapping[str, bytes], task: Task, phi: np.ndarray) -> Check:
+    """Compare the actions of policy.onnx with those of policy.npz."""
+    name = f"{onnx_policy.FILE}: actions, of the largest"
+    if not onnx_policy.is_available():
+        return Check(name, 0.0, onnx_policy.ALLOWED, f"not compared: {onnx_policy.MISSING}")
+    try:
+        policy, program = read_policy(files["policy.npz"]), robot_of(task).program(phi)
+        off = onnx_policy.off_from_arrays(files[onnx_policy.FILE], policy, program)
+    except Exception as error:  # whatever a reader throws at a broken file is the finding
+        return Check(name, math.inf, onnx_policy.ALLOWED, f"can't be compared: {str(error) or type(error).__name__}")
+    return Check(name, off, onnx_policy.ALLOWED, f"{onnx_policy.PAIRS} observations")
 
 
 def _prove_physics(files: Mapping[str, bytes], design: Design, task: Task, phi: np.ndarray) -> list[Check]:

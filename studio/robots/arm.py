@@ -9,7 +9,7 @@ from morph_core.task import Task
 from morph_core.tasks.printed import ARM_SCALE
 from studio.robots import bolted, geometry
 from studio.robots.parts import BASE, MILLIMETRE, Part, parts_of
-from studio.robots.robot import Bought, Program
+from studio.robots.robot import Bought, Program, Quantity
 from studio.robots.units import speeds_of, units_of
 
 
@@ -49,4 +49,7 @@ class ArmRobot:
 
     def program(self, phi: np.ndarray) -> Program:
         """Return the program that runs the policy in MuJoCo's kinematics."""
-        return Program("run_arm.py", units_of(self.task))
+        links = range(1, self.task.action_size + 1)
+        turned = [Quantity(f"{wave} of the heading of link_{i}", "") for wave in ("sine", "cosine") for i in links]
+        joints, tip = [Quantity(f"joint_{i}", "rad") for i in links], [Quantity(f"tip {axis}", "m") for axis in "xy"]
+        return Program("run_arm.py", sees=[*turned, *joints, *tip], gives=joints, arrays=units_of(self.task))

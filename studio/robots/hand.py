@@ -10,7 +10,7 @@ from morph_core.tasks.hand import Hand
 from morph_core.tasks.simulation import SUBSTEPS
 from studio.robots import bolted, geometry
 from studio.robots.parts import MILLIMETRE, Part, parts_of
-from studio.robots.robot import Bought, Program
+from studio.robots.robot import Bought, Program, Quantity
 from studio.robots.units import speeds_of, units_of
 
 SERVO_MASS = 13.4  # g, of an MG90S
@@ -62,7 +62,13 @@ class HandRobot:
         units = units_of(self.task)
         middle = units["middle"].copy()
         middle[: self.hand.joints] -= self.hand.start(phi)
-        return Program("run_hand.py", {**units, "middle": middle, "substeps": np.array(SUBSTEPS)})
+        joints = [Quantity(name, "rad" if i else "m") for i, name in enumerate(self._joints)]
+        place = [Quantity(f"object {axis}", "m") for axis in "xyz"]
+        orientation = [Quantity(f"object q{axis}", "") for axis in "wxyz"]
+        return Program(
+            "run_hand.py", sees=[*joints, *place, *orientation], gives=joints, orientation=len(joints) + len(place),
+            arrays={**units, "middle": middle, "substeps": np.array(SUBSTEPS)},
+        )  # fmt: skip
 
     @property
     def _joints(self) -> list[str]:

@@ -227,7 +227,7 @@ def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
     links = [f"finger_{i}_{part}" for i in (1, 2) for part in ("proximal", "distal")]  # 2 = 3 = 4
     assert set(bundle.files) == {
         "hand.xml", "hand.mjz", "scene.xml", "hand.urdf", "control.json", "assembly.glb", "policy.npz", "run_policy.py",
-        "design.json", "provenance.json", "BOM.csv", "report.html", "LICENSE", "README.txt",
+        "policy.onnx", "policy.py", "design.json", "provenance.json", "BOM.csv", "report.html", "LICENSE", "README.txt",
         *(f"{folder}/{part}.{ending}" for folder, ending in (("parts", "stl"), ("3mf", "3mf"))
           for part in ("palm", *links)),
     }  # fmt: skip
@@ -265,7 +265,8 @@ def test_the_policy_runs_with_numpy_and_mujoco_alone(bundle: Bundle, tmp_path: P
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_bytes(content)
     code = (
-        "import runpy, sys; before = {*sys.modules}; runpy.run_path('run_policy.py', run_name='__main__');"
+        "import runpy, sys; sys.path.insert(0, '.'); before = {*sys.modules};"
+        "runpy.run_path('run_policy.py', run_name='__main__');"
         "loaded = {m.split('.')[0] for m in {*sys.modules} - before};"
         "sys.exit(len(loaded & {'morph_core', 'studio', 'torch', 'trimesh'}))"
     )
@@ -361,6 +362,8 @@ BREAKS = [
     ("hand.mjz", lambda content: content[:-40], "hand.mjz"),
     ("assembly.glb", lambda content: content[:400], "assembly.glb"),
     ("policy.npz", lambda content: content[:200], "policy"),
+    ("policy.onnx", lambda content: content[:-40], "policy.onnx: actions"),
+    ("policy.py", lambda content: content + b"#", "policy.py: the program"),
     ("design.json", replaced('"value": 0.1,', '"value": 0.2,'), "positions"),
     ("README.txt", lambda content: content + b"!", "provenance.json: digests"),
 ]  # fmt: skip

@@ -101,7 +101,8 @@ def run_policy(bundle: Bundle, folder: Path, said: str = "") -> str:
     """Run the shipped program away from this package, and return what it prints."""
     unpack(bundle.files, folder)
     code = (
-        "import runpy, sys; before = {*sys.modules}; runpy.run_path('run_policy.py', run_name='__main__');"
+        "import runpy, sys; sys.path.insert(0, '.'); before = {*sys.modules};"
+        "runpy.run_path('run_policy.py', run_name='__main__');"
         "loaded = {m.split('.')[0] for m in {*sys.modules} - before};"
         "sys.exit(len(loaded & {'morph_core', 'studio', 'torch', 'trimesh'}))"
     )
@@ -141,7 +142,8 @@ def test_a_foreign_task_exports_every_format(bundle: Bundle) -> None:
     links = ("base", "rod_1", "rod_2")
     assert set(bundle.files) == {
         "robot.xml", "robot.mjz", "scene.xml", "robot.urdf", "control.json", "assembly.glb", "policy.npz",
-        "run_policy.py", "design.json", "provenance.json", "report.html", "LICENSE", "README.txt",
+        "policy.onnx", "policy.py", "run_policy.py", "design.json", "provenance.json", "report.html", "LICENSE",
+        "README.txt",
         *(f"{folder}/{link}.{ending}" for folder, ending in (("parts", "stl"), ("3mf", "3mf")) for link in links),
     }  # fmt: skip
     provenance = json.loads(bundle.files["provenance.json"])
