@@ -15,7 +15,7 @@ from studio.export.design_file import Design, Value
 from studio.export.loading import LOADINGS, POLICY_LOADINGS, Loading
 from studio.export.policy import Score
 from studio.export.ros import package_name
-from studio.export.views import EXPLODED, GAP, Label, View, Views
+from studio.export.views import GAP, Label, View, Views
 from studio.robots.parts import Part
 from studio.robots.robot import Program, Robot
 from studio.units import unit_of
@@ -123,7 +123,7 @@ def _facts(sheet: Sheet) -> str:
         best = max(bars, key=lambda bar: bar.episodes or 0)
         facts.append(("Success", f"{best.share:.0%}", best.about))
     if sheet.views is not None:
-        size = " × ".join(f"{_CM * length:.3g}" for length in sheet.views.size)
+        size = " × ".join(f"{_CM * length:.{int(length < 0.1)}f}" for length in sheet.views.size)
         facts.append(("Size at the start", f"{size} cm", "width × depth × height"))
     if sheet.parts:
         mass = sum(part.quantity * part.inertial.mass for part in sheet.parts)
@@ -131,7 +131,7 @@ def _facts(sheet: Sheet) -> str:
         facts.append(
             ("Mass of the parts", f"{1000 * mass:,.0f} g" if mass < 10 else f"{mass:,.1f} kg", "without what is bought")
         )
-        facts.append(("Parts", f"{total}", f"of {kinds} {'kind' if kinds == 1 else 'kinds'}"))
+        facts.append(("Parts", f"{total}", "all alike" if kinds == 1 else f"{kinds} different ones"))
     facts.append(("Design parameters", f"{len(sheet.design.parameters)}", _locked(sheet.design.parameters)))
     cells = "".join(
         f"<div><dt>{name}<dd>{escape(value)} <small>{escape(about)}</small></div>" for name, value, about in facts
@@ -151,18 +151,22 @@ def _pictures(sheet: Sheet) -> str:
     if sheet.views is None:
         return "<p>No picture: the robot's model has no shape with a volume."
     views = sheet.views
-    sides = "".join(_side(view, views.bar) for view in views.sides)
-    return f"""<div class=sides>{sides}</div>
-<p class="dim small">At the start of an episode; all four to one scale.
+    sides = "".join(_figure(view, _scale(views, view)) for view in views.sides)
+    return f"""<div class=views>{_figure(views.oblique)}<div>{sides}</div></div>
+<p class="dim small">At the start of an episode. From the front, the right and above: to one scale, which each bar shows.
 {_exploded(sheet, views)}"""
 
 
-def _side(view: View, bar: float) -> str:
+def _figure(view: View, beside: str = "") -> str:
     return (
-        f'<figure><div class=sheet><img alt="the robot {view.caption}" src="{view.image}">'
-        f'<span class=scale style="width:{100 * view.bar:.2f}%">{_length(bar)}<i></i></span></div>'
-        f"<figcaption>{view.caption}</figcaption></figure>"
+        f'<figure><div class=sheet><img alt="the robot {view.caption}" width={view.width} height={view.height} '
+        f'src="{view.image}"></div><figcaption>{view.caption}{beside}</figcaption></figure>'
     )
+
+
+def _scale(views: Views, view: View) -> str:
+    width = 100 * views.bar_pixels / view.width
+    return f'<span class=scale style="width:{width:.2f}%">{_length(views.bar)}<i></i></span>'
 
 
 def _length(metres: float) -> str:
@@ -171,7 +175,7 @@ def _length(metres: float) -> str:
 
 def _exploded(sheet: Sheet, views: Views) -> str:
     """Return the picture with the parts apart, its labels, and the names that belong to them."""
-    width, height = EXPLODED
+    view = views.exploded
     masses = {link: 1000 * part.inertial.mass for part in sheet.parts for link in part.links}
     rings = "".join(_ring(number, label) for number, label in enumerate(views.labels, 1))
     names = "".join(
@@ -180,8 +184,8 @@ def _exploded(sheet: Sheet, views: Views) -> str:
     )
     alt = escape("the parts drawn apart: " + ", ".join(label.link for label in views.labels), quote=True)
     return f"""<figure class=exploded>
-<div class=sheet><svg viewBox="{-GAP} 0 {width + 2 * GAP} {height}" role=img aria-label="{alt}">
-<image href="{views.exploded}" width="{width}" height="{height}"/>{rings}</svg></div>
+<div class=sheet><svg viewBox="{-GAP} 0 {view.width + 2 * GAP} {view.height}" role=img aria-label="{alt}">
+<image href="{view.image}" width="{view.width}" height="{view.height}"/>{rings}</svg></div>
 <div><h3>Its parts</h3><ol class=names>{names}</ol></div></figure>"""
 
 
@@ -201,16 +205,15 @@ def _phi(parameters: Sequence[Value]) -> str:
     rows = []
     for p in parameters:
         unit = unit_of(p)
-        name = "degrees" if unit.name == "°" else unit.name
-        state = "" if p.locked_at is None else "locked"
-        rows.append([
-            escape(p.name), f"<b>{unit.number(p.value)}</b>", escape(name), unit.number(p.initial), unit.number(p.lo),
-            _range(p.lo, p.hi, at=p.value, mark=p.initial), unit.number(p.hi), state,
-        ])  # fmt: skip
-    headings = ("parameter", "value", "unit", "initial", "from", "bounds in force", "to", "")
+        between = _range(p.lo, p.hi, at=p.value, mark=p.initial)
+        bounds = f"<span class=bounds>{unit.number(p.lo)}{between}{unit.words(p.hi)}</span>"
+        locked = "" if p.locked_at is None else " <span class=dim>locked</span>"
+        value = f"<b>{escape(unit.words(p.value))}</b>"
+        rows.append([escape(p.name) + locked, value, bounds, escape(unit.words(p.initial))])
+    headings = ("parameter", "value", "bounds in force", "initial")
     return (
-        _table(headings, rows, numbers={1, 3, 4, 6}, graphic=5)
-        + "<p class='dim small'>Dot: the value. Line: the initial design. All digits: design.json"
+        _table(headings, rows, numbers={1, 3}, graphic=2)
+        + "<p class='dim small'>Dot: the value. Stroke: the initial design. All digits: design.json"
     )
 
 
@@ -267,12 +270,12 @@ def _success(sheet: Sheet) -> str:
     rows = []
     for bar in bars:
         low, high = bar.interval or (bar.share, bar.share)
-        said = f"{low:.1%} to {high:.1%}" if bar.interval else "not known"
+        said = f"95 % interval: {low:.1%} to {high:.1%}" if bar.interval else "no interval: of how many is not known"
         of = str(bar.episodes) if bar.episodes else "not known"
-        rows.append([escape(bar.of), f"<b>{bar.share:.1%}</b>", said, _range(0, 1, at=bar.share, span=(low, high)), of])
-    table = _table(
-        ("measured", "success", "95 % interval", "0 to 100 %", "episodes"), rows, numbers={1, 2, 4}, graphic=3
-    )
+        graphic = _range(0, 1, at=bar.share, span=(low, high))
+        shown = f"<span class=bounds>0{graphic}100 %</span><span class='dim small'>{said}</span>"
+        rows.append([escape(bar.of), f"<b>{bar.share:.1%}</b>", shown, of])
+    table = _table(("measured", "success", "with its interval", "episodes"), rows, numbers={1, 3}, graphic=2)
     milestones = sheet.recorded.milestones if sheet.recorded else {}
     before = ", ".join(f"{escape(name)} {share:.0%}" for name, share in milestones.items())
     return table + (f"<p>On the way, of the sampled policy's episodes in training: {before}." if before else "")
@@ -306,9 +309,9 @@ def _tool(tool: Loading, sheet: Sheet) -> str:
     size = len(sheet.program.sees) if sheet.program else 0
     text = tool.text(sheet.design.robot, package_name(sheet.design.task), size)
     lacks = "" if tool.needs in sheet.formats else f"Not in this bundle: export it with the format {tool.needs}."
-    notes = " ".join(filter(None, (lacks, tool.note, tool.untried)))
+    notes = " ".join(filter(None, (lacks, tool.note.replace("{robot}", sheet.design.robot), tool.untried)))
     said = f"<p class='dim small'>{escape(notes)}" if notes else ""
-    return f"<div><h3>{escape(tool.tool)}</h3><pre>{escape(text)}</pre>{said}</div>"
+    return f"<h3>{escape(tool.tool)}</h3><div><pre>{escape(text)}</pre>{said}</div>"
 
 
 def _policy(sheet: Sheet) -> str:

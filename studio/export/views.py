@@ -18,15 +18,16 @@ SIDES = {
     "from the front": np.array([0.0, -1.0, 0.0]),
     "from the right": np.array([1.0, 0.0, 0.0]),
     "from above": np.array([0.0, 0.0, 1.0]),
-    "from the side and above": OBLIQUE,
 }
-"""What a view is called, and the direction from the robot to its camera."""
-VIEW = (480, 400)
-"""Width and height of a view in pixels."""
-EXPLODED = (840, 640)
-"""Width and height in pixels of the picture with the parts apart."""
-APART = 0.55
+"""What a view to scale is called, and the direction from the robot to its camera."""
+SIDE_WIDTH, SIDE_HEIGHTS = 440, (110, 440)
+"""Width of a view to scale, and the lowest and the largest height that it is given, in pixels."""
+WIDTH, HEIGHTS = 840, (300, 620)
+"""Width of the large pictures, and the lowest and the largest height that they are given, in pixels."""
+APART = 0.4
 """How far a part is drawn from the one that carries it, as a share of the distance of their middles."""
+MARGIN = 40
+"""Height in pixels that is left above and below what is seen, together."""
 GAP = 34.0
 """Least distance in pixels of two labels in a column."""
 
@@ -52,13 +53,13 @@ class Placed:
 
 @dataclass(frozen=True)
 class View:
-    """A picture of the robot from one side."""
+    """A picture of the robot."""
 
     caption: str
     image: str
     """The picture as the address of an image, which holds it."""
-    bar: float
-    """Share of the picture's width that the scale's bar takes."""
+    width: int
+    height: int
 
 
 @dataclass(frozen=True)
@@ -76,30 +77,58 @@ class Label:
 class Views:
     """All pictures of a robot."""
 
+    oblique: View
+    """View from the side and above."""
     sides: Sequence[View]
+    """Views to one scale."""
     bar: float
-    """Length in m of the bar that is the scale of all sides."""
+    """Length in m of a bar that tells their scale."""
+    bar_pixels: float
+    """Length of that bar in their pixels."""
     size: np.ndarray
     """Size (3,) m of the box round the robot at the start."""
-    exploded: str
-    """The picture with the parts apart, as the address of an image, which holds it."""
+    exploded: View
     labels: Sequence[Label]
+    """Labels of the exploded view, one for each link."""
 
 
 def views_of(model: mujoco.MjModel, parts: Sequence[Part]) -> Views:
     """Draw a robot of at least one part at its start; the ground of each picture is clear."""
     placed = placed_parts(model, parts)
-    points = np.concatenate([part.triangles.reshape(-1, 3) for part in placed])
-    cameras = {name: Camera.framing(points, direction, *VIEW) for name, direction in SIDES.items()}
-    scale = min(camera.scale for camera in cameras.values())
-    bar = _round_length(0.25 * VIEW[0] / scale)
     surfaces = [part.surface for part in placed]
-    sides = [
-        View(name, _address(draw(surfaces, dataclasses.replace(camera, scale=scale))), bar * scale / VIEW[0])
-        for name, camera in cameras.items()
-    ]
+    cameras = {name: _camera(surfaces, direction, SIDE_WIDTH, SIDE_HEIGHTS) for name, direction in SIDES.items()}
+    scale = min(camera.scale for camera in cameras.values())
+    bar = _round_length(0.25 * SIDE_WIDTH / scale)
+    sides = [_view(name, surfaces, _scaled(camera, scale)) for name, camera in cameras.items()]
+    oblique = _view("from the side and above", surfaces, _camera(surfaces, OBLIQUE, WIDTH, HEIGHTS))
     exploded, labels = _exploded(model, placed)
-    return Views(sides, bar, np.ptp(points, axis=0), exploded, labels)
+    return Views(oblique, sides, bar, bar * scale, np.ptp(_points(surfaces), axis=0), exploded, labels)
+
+
+def _points(surfaces: Sequence[Surface]) -> np.ndarray:
+    return np.concatenate([triangles.reshape(-1, 3) for triangles, _ in surfaces])
+
+
+def _camera(surfaces: Sequence[Surface], direction: np.ndarray, width: int, heights: tuple[int, int]) -> Camera:
+    """Return a camera whose pictures are as high as what it sees, within `heights`."""
+    camera = Camera.framing(_points(surfaces), direction, width, heights[1])
+    return dataclasses.replace(camera, height=_height(camera, surfaces, heights))
+
+
+def _scaled(camera: Camera, scale: float) -> Camera:
+    """Return a camera with another scale, which is not larger, whose pictures are as high as what it sees."""
+    height = max(SIDE_HEIGHTS[0], round(camera.height * scale / camera.scale))
+    return dataclasses.replace(camera, scale=scale, height=height)
+
+
+def _height(camera: Camera, surfaces: Sequence[Surface], heights: tuple[int, int]) -> int:
+    seen = np.ptp(_points(surfaces) @ camera.axes[1]) * camera.scale
+    return int(np.clip(round(seen + MARGIN), *heights))
+
+
+def _view(caption: str, surfaces: Sequence[Surface], camera: Camera) -> View:
+    image = base64.b64encode(png(draw(surfaces, camera))).decode()
+    return View(caption, f"data:image/png;base64,{image}", camera.width, camera.height)
 
 
 def placed_parts(model: mujoco.MjModel, parts: Sequence[Part]) -> list[Placed]:
@@ -136,23 +165,23 @@ def _carrier(model: mujoco.MjModel, body: int, bodies: Mapping[int, Placed]) -> 
     return None
 
 
-def _exploded(model: mujoco.MjModel, placed: Sequence[Placed]) -> tuple[str, list[Label]]:
-    """Return the picture of the parts apart as an address, and a label for each link."""
+def _exploded(model: mujoco.MjModel, placed: Sequence[Placed]) -> tuple[View, list[Label]]:
+    """Return the picture of the parts apart, and a label for each link."""
     moved = apart(model, placed)
     surfaces = [(part.triangles + moved[part.link], part.colour) for part in placed]
-    points = np.concatenate([triangles.reshape(-1, 3) for triangles, _ in surfaces])
-    camera = Camera.framing(points, OBLIQUE, *EXPLODED)
+    camera = _camera(surfaces, OBLIQUE, WIDTH, HEIGHTS)
     middles = np.array([part.middle + moved[part.link] for part in placed])
-    seen = (middles @ camera.axes.T - camera.centre)[:, :2] * [camera.scale, -camera.scale] + np.array(EXPLODED) / 2
-    return _address(draw(surfaces, camera)), _labels([part.link for part in placed], seen)
+    seen = (middles @ camera.axes.T - camera.centre)[:, :2] * [camera.scale, -camera.scale]
+    seen += [camera.width / 2, camera.height / 2]
+    labels = _labels([part.link for part in placed], seen, camera.height)
+    return _view("the parts drawn apart", surfaces, camera), labels
 
 
-def _labels(links: Sequence[str], seen: np.ndarray) -> list[Label]:
+def _labels(links: Sequence[str], seen: np.ndarray, height: int) -> list[Label]:
     """Return labels in two columns beside the picture, in the order in which their parts (n, 2) are seen."""
-    width, height = EXPLODED
     left = np.argsort(np.argsort(seen[:, 0], kind="stable")) < len(links) // 2
     places: dict[int, tuple[float, float]] = {}
-    for side, column in ((left, -GAP / 2), (~left, width + GAP / 2)):
+    for side, column in ((left, -GAP / 2), (~left, WIDTH + GAP / 2)):
         chosen = np.flatnonzero(side)
         chosen = chosen[np.argsort(seen[chosen, 1], kind="stable")]
         heights = spread_out(seen[chosen, 1], GAP, GAP / 2, height - GAP / 2)
@@ -176,8 +205,3 @@ def _round_length(longest: float) -> float:
     """Return the largest of 1, 2 and 5 times a power of ten that is not above `longest`."""
     power = 10.0 ** np.floor(np.log10(longest))
     return float(max(digit for digit in (1, 2, 5) if digit * power <= longest * (1 + 1e-9)) * power)
-
-
-def _address(image: np.ndarray) -> str:
-    """Return the address of an image (height, width, 4) that holds it as PNG."""
-    return f"data:image/png;base64,{base64.b64encode(png(image)).decode()}"

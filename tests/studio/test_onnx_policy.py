@@ -237,3 +237,14 @@ def test_the_bundle_of_a_trained_run_proves_its_onnx(run: str) -> None:
     (check,) = (check for check in bundle.checks if check.name.startswith(onnx_policy.FILE))
     assert check.passed
     assert 0 < check.worst < dataclasses.replace(check, worst=0.0).allowed
+
+
+@pytest.mark.slow
+def test_the_bundle_of_a_mouse_hand_that_was_trained_proves_its_onnx(tmp_path: Path) -> None:
+    words = ["--iterations", "1", "--trajectories", "16", "--evaluation.interval", "1", "--evaluation.episodes", "4"]
+    command = [sys.executable, "-m", "studio.cli", "train", "mouse_click", "--method", "no_hw_opt", *words]
+    done = subprocess.run([*command, "--runs", tmp_path, "--json"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    bundle = build_bundle(History(RunFolder(Path(json.loads(done.stdout)["path"]))), "latest", ["mjcf"])
+    (check,) = (check for check in bundle.checks if check.name.startswith(onnx_policy.FILE))
+    assert check.passed
