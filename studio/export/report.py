@@ -153,7 +153,7 @@ def _pictures(sheet: Sheet) -> str:
     views = sheet.views
     sides = "".join(_figure(view, _scale(views, view)) for view in views.sides)
     return f"""<div class=views>{_figure(views.oblique)}<div>{sides}</div></div>
-<p class="dim small">At the start of an episode. From the front, the right and above: to one scale, which each bar shows.
+<p class="dim small">At the start of an episode. The three small ones are to one scale, which their bars show.
 {_exploded(sheet, views)}"""
 
 

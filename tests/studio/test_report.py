@@ -24,7 +24,7 @@ from studio.export.design_file import Design
 from studio.export.loading import LOADINGS
 from studio.export.policy import Score
 from studio.export.report import Section, Sheet, report
-from studio.export.views import APART, GAP, VIEW, apart, placed_parts, spread_out, views_of
+from studio.export.views import APART, GAP, apart, placed_parts, spread_out, views_of
 from studio.robots.chooser import robot_of
 from studio.robots.parts import body_of
 from studio.units import unit_of
@@ -70,6 +70,7 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
+        self.words += " "
         self.asked += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "action", "data")]
 
     def handle_data(self, data: str) -> None:
@@ -95,18 +96,29 @@ def box(image: np.ndarray) -> tuple[int, int]:
 # --- the pictures ---
 
 
-def test_four_views_show_the_robot_to_the_scale_that_stands_beside_them(sheet: Sheet) -> None:
+def test_the_views_from_the_sides_show_the_robot_to_the_scale_that_stands_below_them(sheet: Sheet) -> None:
     assert sheet.views is not None
     views = {view.caption: view for view in sheet.views.sides}
     width, depth, height = sheet.views.size
     for caption, across, up in (
         ("from the front", width, height), ("from the right", depth, height), ("from above", width, depth),
     ):  # fmt: skip
-        metres_per_pixel = sheet.views.bar / (views[caption].bar * VIEW[0])
-        found = np.array(box(pixels(views[caption].image))) * metres_per_pixel
-        np.testing.assert_allclose(found, [across, up], atol=3 * metres_per_pixel)
-    assert len({round(view.bar, 9) for view in sheet.views.sides}) == 1
-    assert len({view.image for view in sheet.views.sides}) == 4
+        metres_per_pixel = sheet.views.bar / sheet.views.bar_pixels
+        image = pixels(views[caption].image)
+        assert image.shape[:2] == (views[caption].height, views[caption].width)
+        np.testing.assert_allclose(np.array(box(image)) * metres_per_pixel, [across, up], atol=3 * metres_per_pixel)
+    assert sheet.views.bar in (0.05, 0.1, 0.2)
+
+
+def test_no_picture_cuts_anything_off() -> None:
+    phi = TASK.design_space.initial.copy()
+    phi[-2:] = 0.4
+    model = TASK.spec(phi).compile()
+    views = views_of(model, robot_of(TASK).parts(phi))
+    for view in (views.oblique, views.exploded, *views.sides):
+        seen = pixels(view.image)[..., 3] > 0
+        assert seen.any()
+        assert not any(edge.any() for edge in (seen[0], seen[-1], seen[:, 0], seen[:, -1])), view.caption
 
 
 def test_parts_are_drawn_apart_from_the_one_that_carries_them() -> None:
@@ -118,14 +130,14 @@ def test_parts_are_drawn_apart_from_the_one_that_carries_them() -> None:
         for link, carrier in ((f"finger_{i}_proximal", "palm"), (f"finger_{i}_distal", f"finger_{i}_proximal")):
             before = placed[link].middle - placed[carrier].middle
             after = before + moved[link] - moved[carrier]
-            np.testing.assert_allclose(after, (1 + APART) * before)
+            np.testing.assert_allclose(after, (1 + APART) * before, atol=1e-12)
 
 
 def test_every_link_has_one_label_that_points_at_it(sheet: Sheet) -> None:
     assert sheet.views is not None
     labels = sheet.views.labels
     assert sorted(label.link for label in labels) == sorted(LINKS)
-    image = pixels(sheet.views.exploded)
+    image = pixels(sheet.views.exploded.image)
     for label in labels:
         column, row = (round(place) for place in label.at)
         near = image[max(row - 40, 0) : row + 41, max(column - 40, 0) : column + 41]
@@ -180,8 +192,8 @@ def test_the_page_shows_all_sections(sheet: Sheet) -> None:
 
 def test_phi_stands_in_centimetres_and_degrees_between_its_bounds(sheet: Sheet) -> None:
     told = words_of(sheet)
-    assert "angle_1 5.7 degrees 0.0 −180.0 180.0" in told
-    assert "length_1 17.0 cm 12.0 2.0 40.0" in told
+    assert "placement_1 5.7° −180.0 180.0° 0.0°" in told
+    assert "length_1 17.0 cm 2.0 40.0 cm 12.0 cm" in told
     page = report(sheet).decode()
     for p in sheet.design.parameters:
         row = re.search(rf"<td>{p.name}<td.*?<tr|<td>{p.name}<td.*?</table", page, re.DOTALL)
@@ -196,12 +208,12 @@ def test_a_locked_parameter_whose_bounds_are_equal_is_shown(sheet: Sheet) -> Non
     fixed = msgspec.structs.replace(first, lo=first.value, hi=first.value, locked_at=first.value)
     design = msgspec.structs.replace(sheet.design, parameters=[fixed, *others])
     told = words_of(dataclasses.replace(sheet, design=design))
-    assert "angle_1 5.7 degrees 0.0 5.7 5.7 locked" in told
+    assert "placement_1 locked 5.7° 5.7 5.7° 0.0°" in told
     assert "8 1 locked" in told
 
 
 @given(st.integers(1, 1000), st.floats(0, 1), st.floats(0, 1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_success_stands_with_its_interval_and_its_episodes(episodes: int, sampled: float, mean: float) -> None:
     recorded = Evaluation(
         iteration=1, env_steps=1, phi=[], sampled_success=round(sampled * episodes) / episodes, sampled_return=0.0,
@@ -211,7 +223,7 @@ def test_success_stands_with_its_interval_and_its_episodes(episodes: int, sample
     told = words_of(bare)
     for share in (recorded.sampled_success, recorded.deterministic_success):
         low, high = wilson_interval(round(share * episodes), episodes)
-        assert f"{share:.1%} {low:.1%} to {high:.1%} {episodes}" in told
+        assert f"{share:.1%} 0 100 % 95 % interval: {low:.1%} to {high:.1%} {episodes}" in told
 
 
 def test_milestones_stand_below_success(sheet: Sheet) -> None:
@@ -235,7 +247,7 @@ def test_an_evaluation_of_unknown_size_has_no_interval() -> None:
         iteration=1, env_steps=1, phi=[], sampled_success=0.5, sampled_return=0.0, deterministic_success=0.5,
         deterministic_return=0.0,
     )  # fmt: skip
-    assert "50.0% not known not known" in words_of(dataclasses.replace(SPARSE, recorded=recorded))
+    assert "no interval: of how many is not known" in words_of(dataclasses.replace(SPARSE, recorded=recorded))
 
 
 def test_the_page_shows_the_lines_that_the_tests_run(sheet: Sheet) -> None:
@@ -250,7 +262,7 @@ def test_the_page_shows_the_lines_that_the_tests_run(sheet: Sheet) -> None:
 @given(st.text(min_size=1, max_size=40))
 @example("<script>alert(1)</script>")
 @example('"><img src=x>')
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_what_came_from_a_run_is_text(name: str) -> None:
     plain = set(Page(report(SPARSE)).tags)
     design = msgspec.structs.replace(SPARSE.design, run=name, design=name)
