@@ -121,7 +121,7 @@ def _facts(sheet: Sheet) -> str:
     facts = []
     if bars := _bars(sheet):
         best = max(bars, key=lambda bar: bar.episodes or 0)
-        facts.append(("Success", f"{best.share:.0%}", best.about))
+        facts.append(("Success", _percent(best.share, 0), best.about))
     if sheet.views is not None:
         size = " × ".join(f"{_CM * length:.{int(length < 0.1)}f}" for length in sheet.views.size)
         facts.append(("Size at the start", f"{size} cm", "width × depth × height"))
@@ -247,20 +247,22 @@ class _Bar:
     def about(self) -> str:
         """Number of episodes and interval, in words."""
         if not self.interval or not self.episodes:
-            return "of an unknown number of episodes"
+            return "of how many episodes is not known"
         low, high = self.interval
-        return f"of {self.episodes} episodes; {low:.0%} to {high:.0%}"
+        return f"of {self.episodes} episodes; {_percent(low, 0)} to {_percent(high, 0)}"
 
 
 def _bars(sheet: Sheet) -> list[_Bar]:
     bars = []
     if sheet.recorded:
-        bars.append(_Bar("in training: the sampled policy", sheet.recorded.sampled_success, sheet.episodes))
-        bars.append(_Bar("in training: the policy's mean", sheet.recorded.deterministic_success, sheet.episodes))
-    bars += [
-        _Bar("these files: the sampled policy", s.success, s.episodes) for s in sheet.scores if s.where == "at export"
-    ]
+        bars.append(_Bar("in training, sampled", sheet.recorded.sampled_success, sheet.episodes))
+        bars.append(_Bar("in training, mean", sheet.recorded.deterministic_success, sheet.episodes))
+    bars += [_Bar("these files, sampled", s.success, s.episodes) for s in sheet.scores if s.where == "at export"]
     return bars
+
+
+def _percent(share: float, digits: int = 1) -> str:
+    return f"{100 * share:.{digits}f} %"
 
 
 def _success(sheet: Sheet) -> str:
@@ -270,14 +272,13 @@ def _success(sheet: Sheet) -> str:
     rows = []
     for bar in bars:
         low, high = bar.interval or (bar.share, bar.share)
-        said = f"95 % interval: {low:.1%} to {high:.1%}" if bar.interval else "no interval: of how many is not known"
-        of = str(bar.episodes) if bar.episodes else "not known"
+        said = f"of {bar.episodes} episodes; 95 %: {_percent(low)} to {_percent(high)}" if bar.interval else bar.about
         graphic = _range(0, 1, at=bar.share, span=(low, high))
-        shown = f"<span class=bounds>0{graphic}100 %</span><span class='dim small'>{said}</span>"
-        rows.append([escape(bar.of), f"<b>{bar.share:.1%}</b>", shown, of])
-    table = _table(("measured", "success", "with its interval", "episodes"), rows, numbers={1, 3}, graphic=2)
+        shown = f"<span class=bounds>0{graphic}100 %</span><span class='dim small'>{said}</span>"
+        rows.append([escape(bar.of), f"<b>{_percent(bar.share)}</b>", shown])
+    table = _table(("policy", "success", "with its interval"), rows, numbers={1}, graphic=2)
     milestones = sheet.recorded.milestones if sheet.recorded else {}
-    before = ", ".join(f"{escape(name)} {share:.0%}" for name, share in milestones.items())
+    before = ", ".join(f"{escape(name)} {_percent(share, 0)}" for name, share in milestones.items())
     return table + (f"<p>On the way, of the sampled policy's episodes in training: {before}." if before else "")
 
 

@@ -251,7 +251,7 @@ def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundl
     assert "<b>" not in page
     assert 'src="http' not in page
     assert "data:image/png;base64," in page
-    assert "lifted 75%" in page
+    assert "lifted 75\N{NO-BREAK SPACE}%" in page
 
 
 def test_a_bundle_name_is_plain_whatever_the_run_is_called(bundle: Bundle) -> None:

@@ -223,11 +223,12 @@ def test_success_stands_with_its_interval_and_its_episodes(episodes: int, sample
     told = words_of(bare)
     for share in (recorded.sampled_success, recorded.deterministic_success):
         low, high = wilson_interval(round(share * episodes), episodes)
-        assert f"{share:.1%} 0 100 % 95 % interval: {low:.1%} to {high:.1%} {episodes}" in told
+        said = f"of {episodes} episodes; 95 %: {100 * low:.1f} % to {100 * high:.1f} %"
+        assert f"{100 * share:.1f} % 0 100 % {said}" in told
 
 
 def test_milestones_stand_below_success(sheet: Sheet) -> None:
-    assert "lifted 75%, pressed 50%" in words_of(sheet)
+    assert "lifted 75 %, pressed 50 %" in words_of(sheet)
 
 
 def test_what_is_not_known_is_said_in_sentences() -> None:
@@ -247,7 +248,9 @@ def test_an_evaluation_of_unknown_size_has_no_interval() -> None:
         iteration=1, env_steps=1, phi=[], sampled_success=0.5, sampled_return=0.0, deterministic_success=0.5,
         deterministic_return=0.0,
     )  # fmt: skip
-    assert "no interval: of how many is not known" in words_of(dataclasses.replace(SPARSE, recorded=recorded))
+    assert "50.0 % 0 100 % of how many episodes is not known" in words_of(
+        dataclasses.replace(SPARSE, recorded=recorded)
+    )
 
 
 def test_the_page_shows_the_lines_that_the_tests_run(sheet: Sheet) -> None:
