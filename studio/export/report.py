@@ -262,7 +262,7 @@ def _bars(sheet: Sheet) -> list[_Bar]:
 
 
 def _percent(share: float, digits: int = 1) -> str:
-    return f"{100 * share:.{digits}f} %"
+    return f"{100 * share:.{digits}f}\N{NO-BREAK SPACE}%"
 
 
 def _success(sheet: Sheet) -> str:
@@ -272,9 +272,13 @@ def _success(sheet: Sheet) -> str:
     rows = []
     for bar in bars:
         low, high = bar.interval or (bar.share, bar.share)
-        said = f"of {bar.episodes} episodes; 95 %: {_percent(low)} to {_percent(high)}" if bar.interval else bar.about
+        said = (
+            f"of {bar.episodes} episodes; 95\N{NO-BREAK SPACE}%: {_percent(low)} to {_percent(high)}"
+            if bar.interval
+            else bar.about
+        )
         graphic = _range(0, 1, at=bar.share, span=(low, high))
-        shown = f"<span class=bounds>0{graphic}100 %</span><span class='dim small'>{said}</span>"
+        shown = f"<span class=bounds>0{graphic}100\N{NO-BREAK SPACE}%</span><span class='dim small'>{said}</span>"
         rows.append([escape(bar.of), f"<b>{_percent(bar.share)}</b>", shown])
     table = _table(("policy", "success", "with its interval"), rows, numbers={1}, graphic=2)
     milestones = sheet.recorded.milestones if sheet.recorded else {}
