@@ -17,18 +17,23 @@ from morph_core.picture import picture
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
 from morph_core.task import Task
+from morph_core.tasks.servos import ServoName
+from studio.export import servos
 from studio.export.archive import zipped
 from studio.export.check import Check
 from studio.export.control import control_settings
+from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
+from studio.export.materials import bill_csv, bill_html, bill_of_materials
 from studio.export.meshes import glb, start_posture, three_mf
 from studio.export.mjcf import oldest_reader, write_mjcf
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
 from studio.export.provenance import provenance_of
-from studio.export.report import bill_of_materials, report
+from studio.export.report import report
 from studio.export.ros import package_name, ros_package
+from studio.export.servos import ServoTable, check_servo, compared_servos, servo_html, verdict
 from studio.export.step import step_files
 from studio.export.urdf import write_urdf
 from studio.export.zero import hold_keyframes, moved_zero, servo_targets
@@ -62,14 +67,19 @@ class Bundle:
 
 
 def build_bundle(
-    history: History, which: str, formats: Sequence[str] | None = None, phi: Sequence[float] | None = None
+    history: History,
+    which: str,
+    formats: Sequence[str] | None = None,
+    phi: Sequence[float] | None = None,
+    servo: str | None = None,
 ) -> Bundle:
     """Return the design `which`: "best", "latest" or an iteration; `phi`, where it is given, takes its place.
 
     The files are read back and compared with the simulated robot first. Raise ExportError with what disagrees, or
-    with what is allowed.
+    with what is allowed. Where a `servo` is named, what the policy needs is measured in 256 episodes and compared with
+    it; without one, the episodes that prove the policy choose a servo of the table.
     """
-    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float))
+    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float), servo)
     name = bundle_name(history, which, by_hand=phi is not None)
     return Bundle(name, files, checks, zipped(dict(sorted(files.items()))))
 
@@ -80,7 +90,7 @@ def default_formats(task: Task) -> tuple[str, ...]:
 
 
 def _build(
-    history: History, which: str, formats: Sequence[str] | None, other_phi: np.ndarray | None
+    history: History, which: str, formats: Sequence[str] | None, other_phi: np.ndarray | None, servo: str | None
 ) -> tuple[dict[str, bytes], list[Check]]:
     iteration, phi = _chosen(history, which)
     task = task_of(history)
@@ -90,6 +100,7 @@ def _build(
     _check_buildable(task, phi)
     formats = default_formats(task) if formats is None else formats
     check_formats(formats, task)
+    wanted = None if servo is None else check_servo(servo, task)
     robot = robot_of(task)
     parts = parts_of_design(robot, phi)
     design = _design(history, task, which, iteration, phi, parts)
@@ -103,17 +114,22 @@ def _build(
         (e for e in reversed(history.evaluations) if e.iteration == iteration and e.phi == phi.tolist()), None
     )
     scores: list[Score] = []
+    table: ServoTable | None = None
     program = robot.program(phi) if policy and "mjcf" in formats else None
     if policy and program:
         files |= policy_files(policy, program, task.horizon)
-        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), EPISODES)
+        recorder, episodes = Recorder(), EPISODES if wanted is None else servos.EPISODES
+        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), episodes, recorder)
+        table = compared_servos(recorder, task, phi, wanted)
         checks += compared
         scores = [*([msgspec.structs.replace(found, where="at export")] if found else []),
                   *_promised(history, recorded, policy)]  # fmt: skip
+    elif wanted is not None and policy:
+        raise ExportError("what the policy needs of a servo is measured on scene.xml: choose the format mjcf with it")
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     files[FILE] = _json(msgspec.to_builtins(design))
-    files |= _papers(task, design, phi, parts, program, scores, recorded, formats, _oldest(files))
+    files |= _papers(task, design, phi, parts, program, scores, recorded, formats, _oldest(files), table, wanted)
     provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores, _oldest(files))
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
     return files, checks
@@ -184,16 +200,24 @@ def _papers(
     recorded: Evaluation | None,
     formats: Sequence[str],
     oldest: str,
+    table: ServoTable | None,
+    wanted: ServoName | None,
 ) -> dict[str, bytes]:
     """Return what is written for people."""
     robot = robot_of(task)
     papers = {
-        "README.txt": _readme(task, robot, formats, program, oldest).encode(),
+        "README.txt": _readme(task, robot, formats, program, oldest, table).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
     image = None
+    drives = ""
+    if table:
+        papers[servos.FILE] = _json(msgspec.to_builtins(table))
+        drives = servo_html(table)
     if robot.printed:
-        papers["BOM.csv"] = bill_of_materials(parts, robot)
+        lines = bill_of_materials(robot, phi, parts, table.servo if table else wanted)
+        papers["BOM.csv"] = bill_csv(lines)
+        drives += bill_html(lines)
     if parts:
         model = task.spec(phi).compile()
         data, colours = start_posture(model), colours_of(model, parts)
@@ -205,7 +229,7 @@ def _papers(
                 surfaces.append((placed[part.faces], colours[link][:3]))
         image = picture(surfaces)
     measured = next((score for score in scores if score.where == "at export"), None)
-    papers["report.html"] = report(design, robot, image, parts, measured, recorded, program)
+    papers["report.html"] = report(design, robot, image, parts, measured, recorded, program, drives)
     return papers
 
 
@@ -215,7 +239,9 @@ def _oldest(files: Mapping[str, bytes]) -> str:
     return oldest_reader(texts) if texts else ""
 
 
-def _readme(task: Task, robot: Robot, formats: Sequence[str], program: Program | None, oldest: str) -> str:
+def _readme(
+    task: Task, robot: Robot, formats: Sequence[str], program: Program | None, oldest: str, table: ServoTable | None
+) -> str:
     name, package = robot.file_name, package_name(task.name)
     printed = "Print:   parts/*.stl (mm), one file for each part; BOM.csv says how many"
     shapes = "Shapes:  parts/*.stl (mm), the collision shapes of each link, which stand in for parts"
@@ -237,6 +263,8 @@ def _readme(task: Task, robot: Robot, formats: Sequence[str], program: Program |
     said = [lines[kind] for kind in lines if kind in formats]
     if program:
         said.append("\n         ".join([f"Policy:  {program.command}", *program.about]))
+    if table:
+        said.append(f"Servos:  {verdict(table)};\n         report.html and {servos.FILE} say more")
     return "\n".join([*said, "Check:   morph-studio verify THIS_BUNDLE", "More:    report.html", ""])
 
 

@@ -1,8 +1,6 @@
-"""report.html and BOM.csv: what a person who opens the bundle wants to know, on one page."""
+"""report.html: what a person who opens the bundle wants to know, on one page."""
 
 import base64
-import csv
-import io
 from collections.abc import Sequence
 from html import escape
 
@@ -23,22 +21,6 @@ pre{background:#f3f4f6;padding:.6rem;overflow-x:auto}.dim{color:#5c6370}
 """
 
 
-def bill_of_materials(parts: Sequence[Part], robot: Robot) -> bytes:
-    """Return BOM.csv: what is printed, and what is bought."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["item", "quantity", "links", "file", "material", "mass_g_each", "size_mm", "note"])
-    for part in parts:
-        size = " x ".join(f"{s:.1f}" for s in part.size)
-        note = "longer than common printers: print it in pieces" if part.size.max() > 350 else ""
-        writer.writerow([
-            part.name, part.quantity, " ".join(part.links), part.stl_path, "PLA, infill 100%",
-            f"{1000 * part.inertial.mass:.2f}", size, note,
-        ])  # fmt: skip
-    writer.writerows(robot.bought(parts))
-    return out.getvalue().encode()
-
-
 def report(
     design: Design,
     robot: Robot,
@@ -47,8 +29,12 @@ def report(
     score: Score | None,
     recorded: Evaluation | None,
     program: Program | None,
+    drives: str = "",
 ) -> bytes:
-    """Return the page; everything in it that came from a run is escaped, and nothing in it is loaded from elsewhere."""
+    """Return the page; `drives` are its sections about servos and what is bought.
+
+    Everything in it that came from a run is escaped, and nothing in it is loaded from elsewhere.
+    """
     run = f"<p>The policy, with numpy and mujoco alone<pre>{escape(program.command)}</pre>" if program else ""
     image = (
         f'<img alt="the assembled robot" src="data:image/png;base64,{base64.b64encode(picture).decode()}">'
@@ -72,6 +58,7 @@ def report(
 <table><tr><th>parameter<th>value<th>unit<th>initial<th>bounds<th></tr>{rows}</table>
 <h2>Success</h2>{_success(score, recorded)}
 {_parts(parts, robot)}
+{drives}
 <h2>Load it</h2>
 <p>MuJoCo: the robot alone, or with its task
 <pre>model = mujoco.MjModel.from_xml_path("{escape(design.robot)}.xml")
