@@ -1,6 +1,5 @@
 """Whether real servos can do what a policy needs: a table for each joint, and which servo suffices."""
 
-import difflib
 import math
 from collections.abc import Sequence
 from html import escape
@@ -9,6 +8,7 @@ import msgspec
 import numpy as np
 
 from morph_core.catalogue import make_task
+from morph_core.config import guess
 from morph_core.history import History
 from morph_core.task import Task
 from morph_core.tasks.servos import SERVOS, DataSheet, ServoLimits, ServoName
@@ -101,9 +101,7 @@ def check_servo(name: str, task: Task) -> ServoName:
     known = {other.lower(): other for other in SERVOS}
     if name.lower() in known:
         return known[name.lower()]
-    near = difflib.get_close_matches(name.lower(), known, 1)
-    guess = f" (did you mean {known[near[0]]}?)" if near else ""
-    raise ExportError(f'unknown servo "{name[:40]}"{guess}; choose from: {", ".join(SERVOS)}')
+    raise ExportError(f'unknown servo "{name[:40]}"{guess(name[:40], SERVOS)}; choose from: {", ".join(SERVOS)}')
 
 
 def compared_servos(recorder: Recorder, task: Task, phi: np.ndarray, wanted: ServoName | None) -> ServoTable | None:

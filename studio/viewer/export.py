@@ -127,7 +127,7 @@ class ExportPanel:
         self.tell("building the files and comparing them…", wording.BLUE)
         self.check.disabled = True
         try:
-            servo = None if self.servo.value == BY_NEED else self.servo.value
+            servo = None if self.servo.value == BY_NEED else str(self.servo.value)
             bundle = self._on_export(which, [name for name, box in self.formats.items() if box.value], servo)
         except (ValueError, OSError) as error:
             self.tell(str(error))

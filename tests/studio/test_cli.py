@@ -330,6 +330,7 @@ def test_a_design_is_handed_to_a_run_that_is_at_work_and_to_no_other(folder: Run
     [
         ("export RUN --formats dwg", "choose from: mjcf, urdf, stl, 3mf, glb, step"),
         ("export RUN --formats", "choose from: mjcf, urdf"),
+        ("export RUN --servo XM430-W350", "the torques of its joints are not simulated"),
         ("export RUN --design 9", "choose best, latest or 0 to 2"),
         ("export RUN --design newest", "choose best, latest or an iteration"),
         ("evaluate RUN --design 9", "choose best, latest or 0 to 2"),
