@@ -35,7 +35,8 @@ class DataSheet:
     price_source: str
     """Where the prices stood, and when."""
     rated_torque: float | None = None
-    """N m that maker or vendor promises in steady work; None where no such figure was found."""
+    """N m in steady work; None where no such figure was found. ROBOTIS's are what robotis.us estimates, a fifth of the
+    stall torque, Feetech's are those of its data sheets."""
 
 
 def kgf_cm(torque: float) -> float:

@@ -234,18 +234,25 @@ def servo_html(table: ServoTable) -> str:
         for row in table.others
     )
     outside = f"<p>Moved from outside, by no servo:<ul>{moved}</ul>" if moved else ""
+    others = "".join(_candidate_row(other, len(table.joints)) for other in table.servos)
+    read = "".join(
+        f"<br>{escape(other.name)}: {escape(other.source)}; prices: {escape(other.price_source)}"
+        for other in table.servos
+    )
     return f"""<h2>Servos</h2>
 <p>{escape(verdict(table))}. {escape(_about(sheet))}
-<table><tr><th>joint<th>torque, peak N&nbsp;m<th>{SHARE:g}&nbsp;%<th>servo, stall<th>speed, peak rad/s
-<th>{SHARE:g}&nbsp;%<th>servo, no load<th>load line, {SHARE:g}&nbsp;%<th></tr>{rows}</table>
+<table><tr><th><th colspan=3>torque, N&nbsp;m<th colspan=3>speed, rad/s<th>load line<th></tr>
+<tr><th>joint<th>peak<th>{SHARE:g}&nbsp;%<th>servo, stall<th>peak<th>{SHARE:g}&nbsp;%<th>servo, no load
+<th>{SHARE:g}&nbsp;%<th></tr>{rows}</table>
 <p class=dim>Sizes over {table.instants} instants of {table.episodes} episodes. Load line: the share that is used of
 what a DC motor can do at the speed of the moment, on a line from stall torque to no-load speed. Red: the servo does not
-suffice. Amber: the torque is above the servo's rated torque in more than {100 - SHARE:g}&nbsp;% of the time.
+suffice. Amber: the torque is above the rated torque, for steady work, in more than {100 - SHARE:g}&nbsp;% of the time.
 {outside}
 <p>{escape(table.assumed)}
-<details><summary>The servos of the table</summary>
-<table><tr><th>servo<th>stall N&nbsp;m<th>rated<th>no load rad/s<th>g<th>mm<th>USD each<th>joints<th>read at</tr>
-{"".join(_candidate_row(other, len(table.joints)) for other in table.servos)}</table></details>
+<details><summary>All servos of the table</summary>
+<table><tr><th>servo<th>V<th>stall N&nbsp;m<th>rated N&nbsp;m<th>no load rad/s<th>g<th>mm<th>USD each<th>suffices for
+</tr>{others}</table>
+<p class=dim>Read at{read}</details>
 """
 
 
@@ -260,10 +267,10 @@ def _about(sheet: DataSheet) -> str:
 
 def _candidate_row(servo: Candidate, joints: int) -> str:
     rated = "" if servo.rated_torque is None else f"{servo.rated_torque:.2f}"
-    size = " &times; ".join(f"{1000 * side:.4g}" for side in servo.size)
+    size = "&nbsp;&times;&nbsp;".join(f"{1000 * side:.4g}" for side in servo.size)
     return (
-        f"<tr><td>{escape(servo.name)} ({escape(servo.maker)}, {servo.voltage:g}&nbsp;V)"
+        f"<tr><td>{escape(servo.name)} ({escape(servo.maker)})<td class=n>{servo.voltage:g}"
         f"<td class=n>{servo.stall_torque:.2f}<td class=n>{rated}<td class=n>{servo.no_load_speed:.2f}"
         f"<td class=n>{1000 * servo.mass:.4g}<td>{size}<td class=n>{servo.price[0]:g}&ndash;{servo.price[1]:g}"
-        f"<td>{servo.suffices_for} of {joints}<td>{escape(servo.source)}; prices: {escape(servo.price_source)}"
+        f"<td>{servo.suffices_for} of {joints} joints"
     )
