@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import msgspec
 import tyro
 
 from morph_core.tasks.servos import SERVOS
@@ -41,7 +42,7 @@ def main(words: Sequence[str]) -> int:
     from studio.export.bundle import build_bundle, bundle_name, check_formats, task_of
     from studio.export.errors import ExportError
     from studio.export.place import write_bundle
-    from studio.export.servos import check_servo
+    from studio.export.servos import FILE, ServoTable, check_servo, servo_text
 
     history = open_run(arguments.runs, arguments.run)
     check_design(history, arguments.design)
@@ -59,5 +60,7 @@ def main(words: Sequence[str]) -> int:
     except ExportError as error:
         print(f"morph-studio: export: {error}", file=sys.stderr)  # noqa: T201
         return 1
+    if arguments.servo is not None and FILE in bundle.files:
+        print(servo_text(msgspec.json.decode(bundle.files[FILE], type=ServoTable)), file=sys.stderr)  # noqa: T201
     print(written)  # noqa: T201
     return 0

@@ -101,6 +101,8 @@ def _build(
     formats = default_formats(task) if formats is None else formats
     check_formats(formats, task)
     wanted = None if servo is None else check_servo(servo, task)
+    if wanted and "mjcf" not in formats:
+        raise ExportError("what a policy needs of a servo is measured on scene.xml: choose the format mjcf with it")
     robot = robot_of(task)
     parts = parts_of_design(robot, phi)
     design = _design(history, task, which, iteration, phi, parts)
@@ -124,8 +126,6 @@ def _build(
         checks += compared
         scores = [*([msgspec.structs.replace(found, where="at export")] if found else []),
                   *_promised(history, recorded, policy)]  # fmt: skip
-    elif wanted is not None and policy:
-        raise ExportError("what the policy needs of a servo is measured on scene.xml: choose the format mjcf with it")
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     files[FILE] = _json(msgspec.to_builtins(design))

@@ -60,7 +60,7 @@ class Candidate(msgspec.Struct, frozen=True):
 
 
 class ServoTable(msgspec.Struct, frozen=True):
-    """What a policy needs beside what a servo has; SI units, prices in USD."""
+    """What a policy needs beside what a servo has: servos.json of a bundle; SI units, prices in USD."""
 
     servo: ServoName
     chosen: str
@@ -98,9 +98,9 @@ def check_servo(name: str, task: Task) -> ServoName:
     """Return the name of a servo; raise ExportError with what is allowed, and the nearest name."""
     if not robot_of(task).servo_joints:
         raise ExportError(f"no servo can be compared with {task.name}: the torques of its joints are not simulated")
-    known = {other.lower(): other for other in SERVOS}
-    if name.lower() in known:
-        return known[name.lower()]
+    for known in SERVOS:
+        if known.lower() == name.lower():
+            return known
     raise ExportError(f'unknown servo "{name[:40]}"{guess(name[:40], SERVOS)}; choose from: {", ".join(SERVOS)}')
 
 
@@ -129,7 +129,7 @@ def servo_table(
 
     `others` are needs of joints that no servo moves.
     """
-    rows = {name: [_row(need, sheet) for need in needs] for name, sheet in SERVOS.items()}
+    rows: dict[ServoName, list[Row]] = {name: [_row(need, sheet) for need in needs] for name, sheet in SERVOS.items()}
     enough = {name: sum(not row.faults for row in found) for name, found in rows.items()}
     if wanted is not None:
         servo, chosen = wanted, "as asked"
@@ -201,7 +201,7 @@ def servo_text(table: ServoTable) -> str:
     """Return the table as plain text."""
     sheet = table.sheet
     head = ("joint", "torque, peak", "95 %", "stall", "speed, peak", "95 %", "no-load", "load line, 95 %", "")
-    lines = [head]
+    lines: list[tuple[str, ...]] = [head]
     for row in table.joints:
         lines.append((
             row.joint, f"{row.torque_peak:.2f} N m", f"{row.torque_95:.2f}", f"{sheet.stall_torque:.2f}",
