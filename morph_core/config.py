@@ -90,7 +90,8 @@ def check_value(name: str, annotation: Any, value: object) -> object:
 def guess(word: str, words: Iterable[str]) -> str:
     """Return which of `words` may be meant by one that is none of them, in brackets; "" where none is near."""
     known = {other.lower(): other for other in words}
-    near = difflib.get_close_matches(word.lower(), known, 1)
+    begun = [other for other in known if len(word) > 1 and other.startswith(word.lower())]
+    near = begun or difflib.get_close_matches(word.lower(), known, 1)
     return f" (did you mean {known[near[0]]}?)" if near else ""
 
 

@@ -132,7 +132,8 @@ def test_a_servo_is_found_whatever_the_case(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "near"), [("XL430", "XL430-W250"), ("mg99", "MG996R"), ("\u00e9" * 99, None), ("", None)]
+    ("name", "near"),
+    [("xl430", "XL430-W250"), ("xm43", "XM430-W350"), ("mg99", "MG996R"), ("\u00e9" * 99, None), ("", None)],
 )
 def test_another_servo_is_refused_with_the_nearest_name_and_the_list(name: str, near: str | None) -> None:
     with pytest.raises(ExportError, match="choose from: MG90S, MG996R, STS3215") as refused:
