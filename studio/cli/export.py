@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import msgspec
 import tyro
 
+from morph_core.tasks.servos import SERVOS
 from studio.cli.arguments import RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import check_design, open_run
 
@@ -29,6 +31,9 @@ class ExportArguments(RunsArguments):
     )
     """Formats to write; without it, all but step, which needs build123d, ros, a ROS 2 package, and ros2_control, which
     adds servos to the URDF."""
+    servo: Annotated[str | None, tyro.conf.arg(metavar="|".join(SERVOS))] = None
+    """Real servo for the joints of a hand: what the policy needs of it is measured in 256 episodes, which takes longer.
+    Without it, 32 episodes choose one."""
 
 
 def main(words: Sequence[str]) -> int:
@@ -37,19 +42,25 @@ def main(words: Sequence[str]) -> int:
     from studio.export.bundle import build_bundle, bundle_name, check_formats, task_of
     from studio.export.errors import ExportError
     from studio.export.place import write_bundle
+    from studio.export.servos import FILE, ServoTable, check_servo, servo_text
 
     history = open_run(arguments.runs, arguments.run)
     check_design(history, arguments.design)
-    if arguments.formats is not None:
-        try:
+    try:
+        if arguments.formats is not None:
             check_formats(arguments.formats, task_of(history))
-        except ExportError as error:
-            raise UsageError(f"export: {error}") from error
+        if arguments.servo is not None:
+            check_servo(arguments.servo, task_of(history))
+    except ExportError as error:
+        raise UsageError(f"export: {error}") from error
     out = arguments.out or history.folder.exports / bundle_name(history, arguments.design)
     try:
-        written = write_bundle(build_bundle(history, arguments.design, arguments.formats), out)
+        bundle = build_bundle(history, arguments.design, arguments.formats, servo=arguments.servo)
+        written = write_bundle(bundle, out)
     except ExportError as error:
         print(f"morph-studio: export: {error}", file=sys.stderr)  # noqa: T201
         return 1
+    if arguments.servo is not None and FILE in bundle.files:
+        print(servo_text(msgspec.json.decode(bundle.files[FILE], type=ServoTable)), file=sys.stderr)  # noqa: T201
     print(written)  # noqa: T201
     return 0

@@ -16,19 +16,23 @@ from morph_core.history import History
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
 from morph_core.task import Task
-from studio.export import onnx_policy
+from morph_core.tasks.servos import ServoName
+from studio.export import onnx_policy, servos
 from studio.export.archive import zipped
 from studio.export.check import Check
 from studio.export.control import control_settings
+from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
+from studio.export.materials import bill_csv, bill_html, bill_of_materials
 from studio.export.meshes import glb, three_mf
 from studio.export.mjcf import oldest_reader, write_mjcf
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.proof import PROVENANCE, check_onnx, prove_policy, prove_robot
 from studio.export.provenance import provenance_of
-from studio.export.report import Sheet, bill_of_materials, report
+from studio.export.report import Section, Sheet, report
 from studio.export.ros import package_name, ros_package
+from studio.export.servos import ServoTable, check_servo, compared_servos, servo_html, verdict
 from studio.export.step import step_files
 from studio.export.urdf import write_urdf
 from studio.export.views import views_of
@@ -63,14 +67,19 @@ class Bundle:
 
 
 def build_bundle(
-    history: History, which: str, formats: Sequence[str] | None = None, phi: Sequence[float] | None = None
+    history: History,
+    which: str,
+    formats: Sequence[str] | None = None,
+    phi: Sequence[float] | None = None,
+    servo: str | None = None,
 ) -> Bundle:
     """Return the design `which`: "best", "latest" or an iteration; `phi`, where it is given, takes its place.
 
     The files are read back and compared with the simulated robot first. Raise ExportError with what disagrees, or
-    with what is allowed.
+    with what is allowed. Where a `servo` is named, what the policy needs is measured in 256 episodes and compared with
+    it; without one, the episodes that prove the policy choose a servo of the table.
     """
-    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float))
+    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float), servo)
     name = bundle_name(history, which, by_hand=phi is not None)
     return Bundle(name, files, checks, zipped(dict(sorted(files.items()))))
 
@@ -81,7 +90,7 @@ def default_formats(task: Task) -> tuple[str, ...]:
 
 
 def _build(
-    history: History, which: str, formats: Sequence[str] | None, other_phi: np.ndarray | None
+    history: History, which: str, formats: Sequence[str] | None, other_phi: np.ndarray | None, servo: str | None
 ) -> tuple[dict[str, bytes], list[Check]]:
     iteration, phi = _chosen(history, which)
     task = task_of(history)
@@ -91,6 +100,9 @@ def _build(
     _check_buildable(task, phi)
     formats = default_formats(task) if formats is None else formats
     check_formats(formats, task)
+    wanted = None if servo is None else check_servo(servo, task)
+    if wanted and "mjcf" not in formats:
+        raise ExportError("what a policy needs of a servo is measured on scene.xml: choose the format mjcf with it")
     robot = robot_of(task)
     parts = parts_of_design(robot, phi)
     design = _design(history, task, which, iteration, phi, parts)
@@ -104,21 +116,25 @@ def _build(
         (e for e in reversed(history.evaluations) if e.iteration == iteration and e.phi == phi.tolist()), None
     )
     scores: list[Score] = []
+    table: ServoTable | None = None
     program = robot.program(phi) if policy and "mjcf" in formats else None
     if policy and program:
         files |= policy_files(policy, program, task.horizon)
         if onnx_policy.is_available():
             files[onnx_policy.FILE] = onnx_policy.onnx_file(policy, program, _facts(task, history, iteration))
             checks.append(check_onnx(files, task, phi))
-        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), EPISODES)
+        recorder, episodes = Recorder(), EPISODES if wanted is None else servos.EPISODES
+        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), episodes, recorder)
+        table = compared_servos(recorder, task, phi, wanted)
         checks += compared
         scores = [*([msgspec.structs.replace(found, where="at export")] if found else []),
                   *_promised(history, recorded, policy)]  # fmt: skip
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     files[FILE] = _json(msgspec.to_builtins(design))
-    episodes = _episodes(history, recorded) if recorded else None
-    files |= _papers(task, design, phi, parts, program, scores, recorded, episodes, formats, _oldest(files))
+    measured = _episodes(history, recorded) if recorded else None
+    oldest = _oldest(files)
+    files |= _papers(task, design, phi, parts, program, scores, recorded, measured, formats, oldest, table, wanted)
     provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores, _oldest(files))
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
     return files, checks
@@ -199,21 +215,29 @@ def _papers(
     episodes: int | None,
     formats: Sequence[str],
     oldest: str,
+    table: ServoTable | None,
+    wanted: ServoName | None,
 ) -> dict[str, bytes]:
     """Return what is written for people."""
     robot = robot_of(task)
     held = [*formats, "onnx"] if program and onnx_policy.is_available() else formats
     papers = {
-        "README.txt": _readme(task, robot, held, program, oldest).encode(),
+        "README.txt": _readme(task, robot, held, program, oldest, table).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
+    more = []
+    if table:
+        papers[servos.FILE] = _json(msgspec.to_builtins(table))
+        more.append(Section("Servos", servo_html(table)))
     if robot.printed:
-        papers["BOM.csv"] = bill_of_materials(parts, robot)
+        lines = bill_of_materials(robot, phi, parts, table.servo if table else wanted)
+        papers["BOM.csv"] = bill_csv(lines)
+        more.append(Section("Bill of materials", bill_html(lines)))
     sheet = Sheet(
         title=task.title, design=design, robot=robot, parts=parts,
         views=views_of(task.spec(phi).compile(), parts) if parts else None, formats=held, scores=scores,
         recorded=recorded, episodes=episodes, program=program,
-        no_onnx="" if onnx_policy.is_available() else onnx_policy.MISSING,
+        more=more, no_onnx="" if onnx_policy.is_available() else onnx_policy.MISSING,
     )  # fmt: skip
     papers["report.html"] = report(sheet)
     return papers
@@ -225,7 +249,9 @@ def _oldest(files: Mapping[str, bytes]) -> str:
     return oldest_reader(texts) if texts else ""
 
 
-def _readme(task: Task, robot: Robot, formats: Sequence[str], program: Program | None, oldest: str) -> str:
+def _readme(
+    task: Task, robot: Robot, formats: Sequence[str], program: Program | None, oldest: str, table: ServoTable | None
+) -> str:
     name, package = robot.file_name, package_name(task.name)
     printed = "Print:   parts/*.stl (mm), one file for each part; BOM.csv says how many"
     shapes = "Shapes:  parts/*.stl (mm), the collision shapes of each link, which stand in for parts"
@@ -249,6 +275,8 @@ def _readme(task: Task, robot: Robot, formats: Sequence[str], program: Program |
         graph = "policy.onnx is the same, as one graph in physical units: python policy.py compares both"
         graph = graph if "onnx" in formats else f"no policy.onnx: {onnx_policy.MISSING}"
         said.append("\n         ".join([f"Policy:  {program.command}", *program.about, graph]))
+    if table:
+        said.append(f"Servos:  {verdict(table)};\n         report.html and {servos.FILE} say more")
     return "\n".join([*said, "Check:   morph-studio verify THIS_BUNDLE", "More:    report.html", ""])
 
 

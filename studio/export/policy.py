@@ -15,6 +15,7 @@ from morph_core.history import History
 from morph_core.rollout import collect
 from morph_core.run_folder import WEIGHTS_BYTES
 from morph_core.task import Hardware, Task
+from studio.export.demand import Recorder
 from studio.export.errors import ExportError
 from studio.robots.robot import Program
 
@@ -117,9 +118,24 @@ def read_policy(content: bytes) -> Policy:
         return Policy(weights, biases, arrays["std"], 0)
 
 
-def score(task: Task, policy: Policy, hardware: Hardware, episodes: int, where: str, seed: int = 0) -> Score:
-    """Run the sampled policy on `hardware`; episodes whose simulation diverges have failed."""
+def score(
+    task: Task,
+    policy: Policy,
+    hardware: Hardware,
+    episodes: int,
+    where: str,
+    seed: int = 0,
+    recorder: Recorder | None = None,
+) -> Score:
+    """Run the sampled policy on `hardware`; episodes whose simulation diverges have failed.
+
+    A `recorder` is shown what the hardware does, where that can be watched.
+    """
     rng = np.random.default_rng(seed)
     start = task.reset(hardware, episodes, rng)
+    if recorder:
+        recorder.watch(hardware)
     rollout = collect(task, lambda seen: policy.act(seen, rng), hardware, start)
+    if recorder:
+        recorder.kept = rollout.kept
     return Score(episodes, float(rollout.successes.sum()) / episodes, where)

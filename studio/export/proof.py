@@ -17,6 +17,7 @@ from morph_core.catalogue import make_task
 from morph_core.task import Task
 from studio.export import onnx_policy
 from studio.export.check import Check, relative, worst
+from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
 from studio.export.meshes import start_posture
 from studio.export.policy import Score, read_policy, score
@@ -181,16 +182,25 @@ def _check_speeds(path: str, content: bytes, model: mujoco.MjModel, speeds: Mapp
 
 
 def prove_policy(
-    files: Mapping[str, bytes], task: Task, phi: np.ndarray, promised: list[Score], episodes: int
+    files: Mapping[str, bytes],
+    task: Task,
+    phi: np.ndarray,
+    promised: list[Score],
+    episodes: int,
+    recorder: Recorder | None = None,
 ) -> tuple[Score | None, list[Check]]:
-    """Run the policy on the scene read from its file, and compare its success with what is `promised`."""
+    """Run the policy on the scene read from its file, and compare its success with what is `promised`.
+
+    A `recorder` is shown what the hardware does.
+    """
     name = "policy"
     try:
         with tempfile.TemporaryDirectory() as folder:
             unpack(files, Path(folder))
             scene = _as_simulated(mujoco.MjSpec.from_file(str(Path(folder) / "scene.xml")), task, phi)
             reloaded = scene.compile()
-            found = score(task, read_policy(files["policy.npz"]), task.hw_phy_from(scene, phi), episodes, "reloaded")
+            policy, hardware = read_policy(files["policy.npz"]), task.hw_phy_from(scene, phi)
+            found = score(task, policy, hardware, episodes, "reloaded", recorder=recorder)
     except Exception as error:  # as with every other file
         return None, [Check(name, math.inf, 0.0, f"can't be run: {error}")]
     checks = [_compare_scenes(task.scene(phi).compile(), reloaded)]

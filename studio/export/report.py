@@ -1,7 +1,5 @@
-"""report.html and BOM.csv: what a person who opens the bundle wants to know, on one page."""
+"""report.html: what a person who opens the bundle wants to know, on one page."""
 
-import csv
-import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -25,22 +23,6 @@ _RADIUS = 13
 """Radius of a label's ring, in pixels of the picture."""
 _CM = 100.0
 """Centimetres per metre."""
-
-
-def bill_of_materials(parts: Sequence[Part], robot: Robot) -> bytes:
-    """Return BOM.csv: what is printed, and what is bought."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["item", "quantity", "links", "file", "material", "mass_g_each", "size_mm", "note"])
-    for part in parts:
-        size = " x ".join(f"{s:.1f}" for s in part.size)
-        note = "longer than common printers: print it in pieces" if part.size.max() > 350 else ""
-        writer.writerow([
-            part.name, part.quantity, " ".join(part.links), part.stl_path, "PLA, infill 100%",
-            f"{1000 * part.inertial.mass:.2f}", size, note,
-        ])  # fmt: skip
-    writer.writerows(robot.bought(parts))
-    return out.getvalue().encode()
 
 
 @dataclass(frozen=True)

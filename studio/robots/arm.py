@@ -7,6 +7,7 @@ import numpy as np
 
 from morph_core.task import Task
 from morph_core.tasks.printed import ARM_SCALE
+from morph_core.tasks.servos import ServoLimits, ServoName
 from studio.robots import bolted, geometry
 from studio.robots.parts import BASE, MILLIMETRE, Part, parts_of
 from studio.robots.robot import Bought, Program, Quantity
@@ -23,6 +24,9 @@ class ArmRobot:
     printed = True
     has_parts = True
     about_parts = bolted.ABOUT_PARTS
+    servo_joints = ()
+    servo_limits: ServoLimits = "none"
+    about_servos = ""
 
     def parts(self, phi: np.ndarray) -> list[Part]:
         """Return foot and links of a design (d,); ValueError for one that can't be put together."""
@@ -34,7 +38,7 @@ class ArmRobot:
         }
         return parts_of({BASE: geometry.arm_base()} | links)
 
-    def bought(self, parts: Sequence[Part]) -> list[Bought]:
+    def bought(self, phi: np.ndarray, parts: Sequence[Part], servo: ServoName | None) -> list[Bought]:
         """Return the pins and drives of the joints."""
         return [bolted.pins(parts, ARM_SCALE), bolted.drives(parts)]
 

@@ -1,11 +1,14 @@
 """What hand and arm share: links of PLA that turn round dowel pins, driven from outside."""
 
+import math
 from collections.abc import Sequence
 
 from morph_core.tasks.printed import DENSITY
 from studio.robots.geometry import SIZES
-from studio.robots.parts import Part
+from studio.robots.parts import MILLIMETRE, Part
 from studio.robots.robot import Bought
+
+STEEL = 7850.0  # kg/m^3
 
 ABOUT_PARTS = f"""<p>PLA ({DENSITY:g} kg/m&sup3;), infill 100%, lying on the widest side. Pin bores: \
 {SIZES.pin_diameter:g} mm,
@@ -21,11 +24,12 @@ def joints_of(parts: Sequence[Part]) -> int:
 def pins(parts: Sequence[Part], scale: float = 1.0) -> Bought:
     """Return the pins of links that are drawn `scale` times as large as a finger's."""
     pin, length = SIZES.pin_diameter * scale, 2 * SIZES.half_width * scale
-    note = "press into the lugs; not in the masses"
-    return [f"dowel pin {pin:g} x {length:g} mm", joints_of(parts), "", "", "steel", "", "", note]
+    mass = STEEL * math.pi / 4 * pin**2 * length * MILLIMETRE**3
+    note = "press into the lugs; not in the masses that were simulated"
+    return Bought(f"dowel pin {pin:g} x {length:g} mm", joints_of(parts), material="steel", mass=mass, note=note)
 
 
 def drives(parts: Sequence[Part]) -> Bought:
     """Return the drives of the joints."""
     note = "not part of the design: control.json says which torque and gains were simulated"
-    return ["servo or tendon drive", joints_of(parts), "", "", "", "", "", note]
+    return Bought("servo or tendon drive", joints_of(parts), note=note)

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from morph_core.task import Task
+from morph_core.tasks.servos import ServoLimits, ServoName
 from studio.robots import geometry
 from studio.robots.parts import MILLIMETRE, Part, free_name, link_names
 from studio.robots.robot import Bought, Program, Quantity
@@ -26,6 +27,9 @@ class PlainRobot:
 
     file_name = "robot"
     printed = False
+    servo_joints = ()
+    servo_limits: ServoLimits = "none"
+    about_servos = ""
     about_parts = "<p>The collision shapes of each link: they stand in for parts, which nobody has drawn."
 
     @property
@@ -46,7 +50,7 @@ class PlainRobot:
                 found.append(Part(name, (link,), *geometry.mesh(solid), density))
         return found
 
-    def bought(self, parts: Sequence[Part]) -> list[Bought]:
+    def bought(self, phi: np.ndarray, parts: Sequence[Part], servo: ServoName | None) -> list[Bought]:
         """Return nothing: a model does not tell what is bought."""
         return []
 

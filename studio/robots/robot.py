@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from morph_core.tasks.servos import ServoLimits, ServoName
 from studio.robots.parts import Part
 
 PROGRAMS = Path(__file__).parent / "programs"
@@ -54,8 +55,21 @@ class Program:
         return known | {name: array for name, array in self.arrays.items() if name in known}
 
 
-Bought = Sequence[object]
-"""A line of BOM.csv: item, quantity, links, file, material, mass of each (g), size (mm), note."""
+@dataclass(frozen=True)
+class Bought:
+    """One kind of thing that a robot needs beside its printed parts."""
+
+    item: str
+    quantity: int
+    links: str = ""
+    material: str = ""
+    mass: float | None = None
+    """kg each; None where it is not known."""
+    size: str = ""
+    """Size in mm."""
+    price: tuple[float, float] | None = None
+    """Price class: USD each, from and to; None where it is not known."""
+    note: str = ""
 
 
 class Robot(Protocol):
@@ -81,8 +95,23 @@ class Robot(Protocol):
         """Return the parts of a design (d,); ValueError for one that can't be put together."""
         ...
 
-    def bought(self, parts: Sequence[Part]) -> list[Bought]:
-        """Return what is needed beside the printed parts."""
+    def bought(self, phi: np.ndarray, parts: Sequence[Part], servo: ServoName | None) -> list[Bought]:
+        """Return what a design (d,) needs beside its printed parts, with the servo that was chosen to drive it."""
+        ...
+
+    @property
+    def servo_joints(self) -> Sequence[str]:
+        """Names of the joints that one servo each could drive; none where the torques of joints are not simulated."""
+        ...
+
+    @property
+    def servo_limits(self) -> ServoLimits:
+        """Servo within whose limits the task keeps these joints."""
+        ...
+
+    @property
+    def about_servos(self) -> str:
+        """Sentences about what is assumed between such a servo and its joint."""
         ...
 
     @property

@@ -5,11 +5,15 @@ from collections.abc import Callable, Sequence
 import viser
 
 from morph_core.history import History
+from morph_core.tasks.servos import SERVOS
 from studio.export.bundle import ALL_FORMATS, OPTIONAL_FORMATS, Bundle
 from studio.export.design_file import DESIGN_TYPES
 from studio.export.ros import FOLDER
+from studio.export.servos import takes_servos
 from studio.viewer import wording
 
+BY_NEED = "by need"
+"""Word for the servo that the export chooses itself."""
 CHOICES = ("best", "latest", "iteration")
 HINTS = {
     "mjcf": "MuJoCo: the robot, the robot with its task, and one .mjz that live.mujoco.org opens",
@@ -33,7 +37,7 @@ def _is_of(name: str, path: str) -> bool:
 
 
 class ExportPanel:
-    """`on_export("best", "latest" or an iteration's number, formats)` builds and checks a bundle.
+    """`on_export("best", "latest" or an iteration's number, formats, servo or None)` builds and checks a bundle.
 
     `on_import(content, client)` is handed the bytes of a design.json or of a bundle.
     """
@@ -42,15 +46,21 @@ class ExportPanel:
         self,
         gui: viser.GuiApi,
         *,
-        on_export: Callable[[str, Sequence[str]], Bundle],
+        on_export: Callable[[str, Sequence[str], str | None], Bundle],
         on_import: Callable[[bytes, viser.ClientHandle | None], None],
     ) -> None:
         self._on_export = on_export
         self._history: History | None = None
         self._bundle: Bundle | None = None
+        self._takes_servos = False
         self.note = gui.add_html("")
         self.design = gui.add_dropdown("design", CHOICES, initial_value="best")
         self.iteration = gui.add_number("iteration", 0, min=0, step=1, visible=False, hint="0 is the initial design")
+        self.servo = gui.add_dropdown(
+            "servo", (BY_NEED, *SERVOS), initial_value=BY_NEED, visible=False,
+            hint="The real servo with which report.html compares what the policy needs: measured in 256 episodes, "
+            "which takes some seconds; by need: the cheapest that suffices in 32 episodes",
+        )  # fmt: skip
         self.formats_folder = gui.add_folder("Formats", expand_by_default=False)
         with self.formats_folder:
             self.formats = {
@@ -66,6 +76,7 @@ class ExportPanel:
         )  # fmt: skip
         self.design.on_update(lambda _: self._choose())
         self.iteration.on_update(lambda _: self._choose())
+        self.servo.on_update(lambda _: self._choose())
         for box in self.formats.values():
             box.on_update(lambda _: self._choose())
         self.check.on_click(lambda _: self.submit())
@@ -84,6 +95,7 @@ class ExportPanel:
         """Offer the designs of a run."""
         if self._history is None or self._history.folder.id != history.folder.id:
             self._forget()
+            self.servo.value, self._takes_servos = BY_NEED, takes_servos(history)
         self._history = history
         self._show(True)
         best = history.best
@@ -115,7 +127,8 @@ class ExportPanel:
         self.tell("building the files and comparing them…", wording.BLUE)
         self.check.disabled = True
         try:
-            bundle = self._on_export(which, [name for name, box in self.formats.items() if box.value])
+            servo = None if self.servo.value == BY_NEED else str(self.servo.value)
+            bundle = self._on_export(which, [name for name, box in self.formats.items() if box.value], servo)
         except (ValueError, OSError) as error:
             self.tell(str(error))
         else:
@@ -162,4 +175,5 @@ class ExportPanel:
 
     def _show(self, visible: bool) -> None:
         self.design.visible = self.check.visible = self.formats_folder.visible = self.bring.visible = visible
+        self.servo.visible = visible and self._takes_servos
         self.iteration.visible = visible and self.design.value == "iteration"

@@ -26,12 +26,13 @@ from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
 from morph_core.task import Task
 from studio.export.archive import unzipped, zipped
-from studio.export.bundle import FORMATS, Bundle, build_bundle, parts_of_design, robot_files
+from studio.export.bundle import EPISODES, FORMATS, Bundle, build_bundle, parts_of_design, robot_files
 from studio.export.design_file import Design, PartEntry, phi_for, read_design, starting_from
 from studio.export.errors import ExportError
 from studio.export.meshes import three_mf
 from studio.export.policy import Policy, Score
 from studio.export.proof import prove, prove_robot, unpack
+from studio.export.servos import ServoTable
 from studio.export.urdf import urdf_names
 from studio.export.zero import zero_of
 from studio.new_run import StartRun
@@ -214,12 +215,18 @@ def add_policy(history: History, task: Task, iteration: int, scale: float = 0.3)
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
-    """The bundle of a pen hand, with a policy, from a run with a hostile name."""
+def history(tmp_path_factory: pytest.TempPathFactory) -> History:
+    """A run of a pen hand, with a policy and a hostile name."""
     folder = make_hand_run(tmp_path_factory.mktemp("runs"), "pen_press")
     folder.path.rename(folder.path.with_name(NAME))
     history = History(type(folder)(folder.path.with_name(NAME)))
     add_policy(history, make_task("pen_press"), 0)  # of an earlier iteration: its success was never measured
+    return history
+
+
+@pytest.fixture(scope="module")
+def bundle(history: History) -> Bundle:
+    """The bundle of that run."""
     return build_bundle(history, "best")
 
 
@@ -228,6 +235,7 @@ def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
     assert set(bundle.files) == {
         "hand.xml", "hand.mjz", "scene.xml", "hand.urdf", "control.json", "assembly.glb", "policy.npz", "run_policy.py",
         "policy.onnx", "policy.py", "design.json", "provenance.json", "BOM.csv", "report.html", "LICENSE", "README.txt",
+        "servos.json",
         *(f"{folder}/{part}.{ending}" for folder, ending in (("parts", "stl"), ("3mf", "3mf"))
           for part in ("palm", *links)),
     }  # fmt: skip
@@ -243,6 +251,39 @@ def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
     assert "MuJoCo 3.2 and newer read the .xml files" in bundle.files["README.txt"].decode()
     assert json.loads(bundle.files["provenance.json"])["oldest_mujoco"] == "3.2"
     assert joint["armature"] == 0.01
+
+
+def servos_of(bundle: Bundle) -> ServoTable:
+    return msgspec.json.decode(bundle.files["servos.json"], type=ServoTable)
+
+
+def test_a_bundle_says_which_servo_can_do_what_the_policy_needs(bundle: Bundle) -> None:
+    table = servos_of(bundle)
+    assert (table.episodes, table.instants) == (EPISODES, EPISODES * 40 * 10)  # control steps, and 10 ms steps of each
+    assert [row.joint for row in table.joints] == [
+        f"finger_{i}_{link}" for i in range(1, 5) for link in ("proximal", "distal")
+    ]
+    assert [(row.joint, row.unit) for row in table.others] == [("palm", "N")]
+    for row in table.joints:
+        assert 0 < row.torque_95 <= row.torque_peak <= 4.0 + 1e-9  # what the hand's drives were given
+        assert 0 < row.speed_95 <= row.speed_peak
+    assert f"<td>servo {table.servo}<" in bundle.files["report.html"].decode()
+    assert f"\nservo {table.servo},8," in bundle.files["BOM.csv"].decode()
+    assert f"Servos:  {table.servo} suffices for " in bundle.files["README.txt"].decode()
+
+
+def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for(
+    history: History, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("studio.export.servos.EPISODES", 3)
+    weak = build_bundle(history, "best", ["mjcf"], servo="mg90s")
+    table = servos_of(weak)
+    assert (table.servo, table.episodes, table.suffices) == ("MG90S", 3, False)
+    assert "does not suffice: peak torque" in weak.files["report.html"].decode()
+    with pytest.raises(ExportError, match="choose the format mjcf"):
+        build_bundle(history, "best", ["urdf"], servo="MG90S")
+    with pytest.raises(ExportError, match="did you mean MG90S"):
+        build_bundle(history, "best", ["mjcf"], servo="MG90")
 
 
 def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundle) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 import pytest
 import viser
-from conftest import NAME, Page, design_of, eventually, make_run
+from conftest import NAME, Page, design_of, eventually, make_hand_run, make_run
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
@@ -592,6 +592,19 @@ def test_the_chosen_design_is_exported_in_the_chosen_formats(page: Page, folder:
         (NAME, "best", everything), (NAME, "latest", everything), (NAME, "2", ["urdf", "stl"]),
     ]  # fmt: skip
     assert not export.notice.visible
+
+
+def test_a_servo_is_chosen_where_the_robot_takes_servos(page: Page, folder: RunFolder, tmp_path: Path) -> None:
+    export, hand = page.viewer.export, make_hand_run(tmp_path / "hands", "pen_press")
+    page.show(folder)
+    assert not export.servo.visible
+    page.show(hand)
+    assert export.servo.visible
+    export.submit()
+    export.servo.value = "XM430-W350"
+    assert not export.download.visible  # it was prepared without one
+    export.submit()
+    assert page.servos == ["XM430-W350"]
 
 
 def test_what_was_compared_is_shown_and_a_change_of_mind_takes_it_away(page: Page, folder: RunFolder) -> None:
