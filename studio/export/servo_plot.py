@@ -30,6 +30,10 @@ def servo_plot(title: str, unit: str, bars: Sequence[Bar], limits: Sequence[tupl
     per_unit = (WIDTH - NAMES - 12) / (largest * _ROOM if largest > 0 else 1.0)
     bottom = HEAD + ROW * len(bars)
     drawn = [f"<text x=0 y=13 class=title>{escape(title)}, {escape(unit)}</text>"]
+    for at in ticks(largest * _ROOM):
+        x = NAMES + at * per_unit
+        drawn.append(f'<path class=grid d="M{x:.1f} {HEAD}V{bottom}"/>')
+        drawn.append(f'<text x="{x:.1f}" y={bottom + 16} text-anchor=middle class=dim>{at:g}</text>')
     for i, bar in enumerate(bars):
         top, kind = HEAD + ROW * i, "bar" if bar.is_enough else "bar bad"
         drawn.append(
@@ -37,10 +41,6 @@ def servo_plot(title: str, unit: str, bars: Sequence[Bar], limits: Sequence[tupl
             f'<rect class="{kind} peak" x={NAMES} y={top + 4} width="{bar.peak * per_unit:.1f}" height=14 />'
             f'<rect class="{kind}" x={NAMES} y={top + 4} width="{bar.usual * per_unit:.1f}" height=14 />'
         )
-    for at in ticks(largest * _ROOM):
-        x = NAMES + at * per_unit
-        drawn.append(f'<path class=grid d="M{x:.1f} {HEAD}V{bottom}"/>')
-        drawn.append(f'<text x="{x:.1f}" y={bottom + 16} text-anchor=middle class=dim>{at:g}</text>')
     for i, (name, value) in enumerate(limits):
         x = NAMES + value * per_unit
         anchor = "end" if x > (NAMES + WIDTH) / 2 else "start"
