@@ -96,8 +96,10 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
     def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
         return runs.start(_branch(runs.get(run_id), iteration, phi))
 
-    def on_export(run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None) -> Bundle:
-        return build_bundle(runs.get(run_id), which, formats, phi)
+    def on_export(
+        run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None, printer: str | None
+    ) -> Bundle:
+        return build_bundle(runs.get(run_id), which, formats, phi, printer)
 
     def make(client: viser.ClientHandle) -> Viewer:
         return Viewer(

@@ -29,25 +29,30 @@ class ExportArguments(RunsArguments):
     )
     """Formats to write; without it, all but step, which needs build123d, ros, a ROS 2 package, and ros2_control, which
     adds servos to the URDF."""
+    printer: Annotated[str | None, tyro.conf.arg(metavar="NAME|XxYxZ")] = None
+    """Printer that must be able to print every part, by name or size in mm; without it, 256x256x256, and parts that are
+    too large are named."""
 
 
 def main(words: Sequence[str]) -> int:
     """Run `morph-studio export` with these words; return the exit status."""
     arguments = parse(ExportArguments, words, "export")
-    from studio.export.bundle import build_bundle, bundle_name, check_formats, task_of
+    from studio.export.bundle import build_bundle, bundle_name, check_formats, default_formats, task_of
     from studio.export.errors import ExportError
     from studio.export.place import write_bundle
 
     history = open_run(arguments.runs, arguments.run)
     check_design(history, arguments.design)
-    if arguments.formats is not None:
+    formats, printer = arguments.formats, arguments.printer
+    if formats is not None or printer is not None:
         try:
-            check_formats(arguments.formats, task_of(history))
+            task = task_of(history)
+            check_formats(default_formats(task) if formats is None else formats, task, printer)
         except ExportError as error:
             raise UsageError(f"export: {error}") from error
     out = arguments.out or history.folder.exports / bundle_name(history, arguments.design)
     try:
-        written = write_bundle(build_bundle(history, arguments.design, arguments.formats), out)
+        written = write_bundle(build_bundle(history, arguments.design, formats, printer=printer), out)
     except ExportError as error:
         print(f"morph-studio: export: {error}", file=sys.stderr)  # noqa: T201
         return 1

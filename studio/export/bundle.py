@@ -22,9 +22,11 @@ from studio.export.check import Check
 from studio.export.control import control_settings
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
-from studio.export.meshes import glb, start_posture, three_mf
+from studio.export.meshes import glb, start_posture
 from studio.export.mjcf import oldest_reader, write_mjcf
+from studio.export.plates import Prints, plan_prints, print_files
 from studio.export.policy import Policy, Score, policy_at, policy_files
+from studio.export.printers import DEFAULT, printer_of
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
 from studio.export.provenance import provenance_of
 from studio.export.report import bill_of_materials, report
@@ -62,14 +64,19 @@ class Bundle:
 
 
 def build_bundle(
-    history: History, which: str, formats: Sequence[str] | None = None, phi: Sequence[float] | None = None
+    history: History,
+    which: str,
+    formats: Sequence[str] | None = None,
+    phi: Sequence[float] | None = None,
+    printer: str | None = None,
 ) -> Bundle:
     """Return the design `which`: "best", "latest" or an iteration; `phi`, where it is given, takes its place.
 
-    The files are read back and compared with the simulated robot first. Raise ExportError with what disagrees, or
-    with what is allowed.
+    A `printer` that is asked for, by name or size, must be able to print every part; parts that are too large for
+    the default one are named. The files are read back and compared with the simulated robot first. Raise
+    ExportError with what disagrees, or with what is allowed.
     """
-    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float))
+    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float), printer)
     name = bundle_name(history, which, by_hand=phi is not None)
     return Bundle(name, files, checks, zipped(dict(sorted(files.items()))))
 
@@ -80,7 +87,7 @@ def default_formats(task: Task) -> tuple[str, ...]:
 
 
 def _build(
-    history: History, which: str, formats: Sequence[str] | None, other_phi: np.ndarray | None
+    history: History, which: str, formats: Sequence[str] | None, other_phi: np.ndarray | None, printer: str | None
 ) -> tuple[dict[str, bytes], list[Check]]:
     iteration, phi = _chosen(history, which)
     task = task_of(history)
@@ -89,15 +96,17 @@ def _build(
     _check_phi(history, phi)
     _check_buildable(task, phi)
     formats = default_formats(task) if formats is None else formats
-    check_formats(formats, task)
+    check_formats(formats, task, printer)
     robot = robot_of(task)
     parts = parts_of_design(robot, phi)
+    prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
     design = _design(history, task, which, iteration, phi, parts)
     policy = policy_at(history, iteration, phi)
     try:
         files = robot_files(task, phi, parts, formats)
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
+    files |= print_files(prints) if prints else {}
     checks = prove_robot(files, design, task, phi, only_mujoco=True)
     recorded = next(
         (e for e in reversed(history.evaluations) if e.iteration == iteration and e.phi == phi.tolist()), None
@@ -113,10 +122,19 @@ def _build(
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     files[FILE] = _json(msgspec.to_builtins(design))
-    files |= _papers(task, design, phi, parts, program, scores, recorded, formats, _oldest(files))
+    files |= _papers(task, design, phi, parts, prints, program, scores, recorded, formats, _oldest(files))
     provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores, _oldest(files))
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
     return files, checks
+
+
+def _prints(task: Task, phi: np.ndarray, parts: Sequence[Part], printer: str | None) -> Prints:
+    """Return how the parts are printed; ExportError where a printer that is asked for can't print one."""
+    model = task.spec(phi).compile() if robot_of(task).printed else None
+    prints = plan_prints(parts, DEFAULT if printer is None else printer_of(printer), model)
+    if printer is not None and prints.problems:
+        raise ExportError("; ".join(prints.problems.values()))
+    return prints
 
 
 def parts_of_design(robot: Robot, phi: np.ndarray) -> list[Part]:
@@ -157,8 +175,6 @@ def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Seq
             files |= ros_package(task.name, name, urdf[f"{name}.urdf"], {**shown, **urdf}, size)
         files |= urdf if "urdf" in formats else {}
         files["control.json"] = _json(control_settings(model, scene.compile(), zero))
-    if "3mf" in formats:
-        files |= {f"3mf/{part.name}.3mf": three_mf(part) for part in parts}
     if "glb" in formats:
         files["assembly.glb"] = glb(parts, model, colours_of(model, parts))
     if "step" in formats:
@@ -179,6 +195,7 @@ def _papers(
     design: Design,
     phi: np.ndarray,
     parts: Sequence[Part],
+    prints: Prints | None,
     program: Program | None,
     scores: Sequence[Score],
     recorded: Evaluation | None,
@@ -193,7 +210,7 @@ def _papers(
     }
     image = None
     if robot.printed:
-        papers["BOM.csv"] = bill_of_materials(parts, robot)
+        papers["BOM.csv"] = bill_of_materials(parts, robot, prints)
     if parts:
         model = task.spec(phi).compile()
         data, colours = start_posture(model), colours_of(model, parts)
@@ -230,7 +247,9 @@ def _readme(task: Task, robot: Robot, formats: Sequence[str], program: Program |
         f"         ros2 launch {package} display.launch.py",
         "ros2_control": "         each servo has a transmission and a ros2_control interface, of mock hardware as yet",
         "stl": printed if robot.printed else shapes,
-        "3mf": "         3mf/*.3mf (mm), with as many copies as are needed",
+        "3mf": "         3mf/*.3mf (mm), each part as often as it is needed, on its widest side; plates/*.3mf, all of\n"
+        "         them laid out on a printer, plates/*.svg, what that looks like, and plates/*.csv, what was\n"
+        "         measured; print pin_coupon first: its bores have 0, 0.1 ... 0.4 mm play for a pin",
         "glb": "Look:    assembly.glb (m)",
         "step": "CAD:     step/*.step (mm), plane faces",
     }
@@ -256,8 +275,8 @@ def bundle_name(history: History, which: str, *, by_hand: bool = False) -> str:
     return f"{run}-{label}{'-' + BY_HAND.replace(' ', '-') if by_hand else ''}.zip"
 
 
-def check_formats(formats: Sequence[str], task: Task) -> None:
-    """Raise ExportError that lists the available formats unless all of `formats` are."""
+def check_formats(formats: Sequence[str], task: Task, printer: str | None = None) -> None:
+    """Raise ExportError that lists what is available unless all of `formats` and the printer are."""
     has_parts = robot_of(task).has_parts
     allowed = (*default_formats(task), *(f for f in OPTIONAL_FORMATS if has_parts or f not in MESH_FORMATS))
     for name in formats:
@@ -267,6 +286,10 @@ def check_formats(formats: Sequence[str], task: Task) -> None:
             raise ExportError(f'unknown format "{name[:40]}"; choose from: {", ".join(allowed)}')
     if "ros2_control" in formats and not {"urdf", "ros"} & set(formats):
         raise ExportError("ros2_control is a part of a URDF: choose urdf or ros with it")
+    if printer is not None:
+        printer_of(printer)
+        if "3mf" not in formats:
+            raise ExportError(f"a printer is for the format 3mf, and the formats are: {', '.join(formats)}")
     if not formats:
         raise ExportError(f"no format given; choose from: {', '.join(allowed)}")
 

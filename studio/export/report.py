@@ -8,6 +8,7 @@ from html import escape
 
 from morph_core.protocol import Evaluation
 from studio.export.design_file import Design
+from studio.export.plates import Prints, dowels_bought, note_of
 from studio.export.policy import Score
 from studio.export.ros import package_name
 from studio.robots.parts import Part
@@ -23,19 +24,20 @@ pre{background:#f3f4f6;padding:.6rem;overflow-x:auto}.dim{color:#5c6370}
 """
 
 
-def bill_of_materials(parts: Sequence[Part], robot: Robot) -> bytes:
+def bill_of_materials(parts: Sequence[Part], robot: Robot, prints: Prints | None = None) -> bytes:
     """Return BOM.csv: what is printed, and what is bought."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["item", "quantity", "links", "file", "material", "mass_g_each", "size_mm", "note"])
     for part in parts:
         size = " x ".join(f"{s:.1f}" for s in part.size)
-        note = "longer than common printers: print it in pieces" if part.size.max() > 350 else ""
+        note = note_of(prints, part.name) if prints else ""
         writer.writerow([
             part.name, part.quantity, " ".join(part.links), part.stl_path, "PLA, infill 100%",
             f"{1000 * part.inertial.mass:.2f}", size, note,
         ])  # fmt: skip
     writer.writerows(robot.bought(parts))
+    writer.writerows(dowels_bought(prints) if prints else [])
     return out.getvalue().encode()
 
 
