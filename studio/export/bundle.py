@@ -24,7 +24,7 @@ from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
 from studio.export.meshes import glb, start_posture
 from studio.export.mjcf import oldest_reader, write_mjcf
-from studio.export.plates import Prints, plan_prints, print_files
+from studio.export.plates import Prints, plan_prints, print_files, printers_for
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.printers import DEFAULT, printer_of
 from studio.export.proof import PROVENANCE, prove_policy, prove_robot
@@ -123,7 +123,8 @@ def _build(
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     files[FILE] = _json(msgspec.to_builtins(design))
     files |= _papers(task, design, phi, parts, prints, program, scores, recorded, formats, _oldest(files))
-    provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores, _oldest(files))
+    said, bed = [str(check) for check in checks], prints.printer.name if prints else ""
+    provenance = provenance_of(history, iteration, files, said, scores, _oldest(files), bed)
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
     return files, checks
 
@@ -133,7 +134,8 @@ def _prints(task: Task, phi: np.ndarray, parts: Sequence[Part], printer: str | N
     model = task.spec(phi).compile() if robot_of(task).printed else None
     prints = plan_prints(parts, DEFAULT if printer is None else printer_of(printer), model)
     if printer is not None and prints.problems:
-        raise ExportError("; ".join(prints.problems.values()))
+        able = ", ".join(printers_for(parts)) or "none of the table"
+        raise ExportError(f"{'; '.join(prints.problems.values())}; printers that are large enough: {able}")
     return prints
 
 

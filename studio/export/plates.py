@@ -18,7 +18,7 @@ from studio.export.layout import GAP, Item, Plate, arrange, put
 from studio.export.meshes import Body, three_mf
 from studio.export.pieces import Piece, Pieces, lay, pieces_of, solid_of
 from studio.export.plate_picture import plate_picture
-from studio.export.printers import BORDER, Printer
+from studio.export.printers import BORDER, PRINTERS, Printer
 from studio.robots import geometry
 from studio.robots.parts import Part
 
@@ -75,6 +75,19 @@ def plan_prints(parts: Sequence[Part], printer: Printer, model: mujoco.MjModel |
         measured[COUPON] = _measured(bodies[-1])
     plates = arrange(bodies, printer)
     return Prints(printer, made, problems, plates, fits, measured)
+
+
+def printers_for(parts: Sequence[Part]) -> list[str]:
+    """Return the names of the printers in the table that are large enough for all parts."""
+    return [name for name, printer in PRINTERS.items() if all(_fits(part, printer) for part in parts)]
+
+
+def _fits(part: Part, printer: Printer) -> bool:
+    try:
+        pieces_of(part, printer)
+    except ValueError:
+        return False
+    return True
 
 
 def print_files(prints: Prints) -> dict[str, bytes]:

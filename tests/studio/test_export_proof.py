@@ -6,6 +6,7 @@ import io
 import itertools
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -348,7 +349,27 @@ def with_a_second_object(_: bytes) -> bytes:
     return zipped(files | {"3D/3dmodel.model": text.encode()})
 
 
+def moved_item(by: str) -> Callable[[bytes], bytes]:
+    """Return a breaking of a 3MF: its first item lies elsewhere."""
+
+    def move(content: bytes) -> bytes:
+        files = unzipped(content)
+        text = files["3D/3dmodel.model"].decode()
+        where = re.search(r'transform="((?:\S+ ){9})[^"]+"', text)
+        assert where
+        text = text.replace(where[0], f'transform="{where[1]}{by}"', 1)
+        return zipped(files | {"3D/3dmodel.model": text.encode()})
+
+    return move
+
+
 BREAKS = [
+    ("plates/plate_1.3mf", moved_item("-20 90 20"), "plates/plate_1.3mf: inside the printer"),
+    ("plates/plate_1.3mf", moved_item("128 128 6"), "plates/plate_1.3mf: none over another"),
+    ("plates/plate_1.3mf", without_a_copy, "plates: each piece as often as needed"),
+    ("plates/pieces.csv", replaced("finger_1_distal", "finger_9_distal"), "plates: each piece as often as needed"),
+    ("plates/pieces.csv", lambda _: b"", "plates"),
+    ("3mf/finger_1_distal.3mf", moved_item("0 0 -50"), "3mf/finger_1_distal.3mf: lies on the bed"),
     ("3mf/palm.3mf", in_inches, "3mf/palm.3mf: quantity, name and unit"),
     ("3mf/finger_2_distal.3mf", without_a_copy, "3mf/finger_2_distal.3mf: quantity"),
     ("3mf/palm.3mf", with_a_second_object, "3mf/palm.3mf: quantity"),
