@@ -99,13 +99,13 @@ def _build(
     check_formats(formats, task, printer)
     robot = robot_of(task)
     parts = parts_of_design(robot, phi)
-    prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
     design = _design(history, task, which, iteration, phi, parts)
     policy = policy_at(history, iteration, phi)
     try:
         files = robot_files(task, phi, parts, formats)
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
+    prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
     files |= print_files(prints) if prints else {}
     checks = prove_robot(files, design, task, phi, only_mujoco=True)
     recorded = next(

@@ -12,6 +12,8 @@ BORDER = 8.0
 SMALLEST, LARGEST = 50.0, 2000.0
 """Smallest and largest size of a printer in each direction (mm)."""
 _ANGLES = np.radians(np.arange(91.0))
+_COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
+_COS[-1] = 0.0
 
 
 @dataclass(frozen=True)
@@ -29,9 +31,8 @@ class Printer:
 
     def angle_of(self, length: float, width: float) -> float | None:
         """Return the smallest angle (rad) by which a rectangle (mm) must be turned to lie on the bed; None if none."""
-        cos, sin = np.abs(np.cos(_ANGLES)), np.abs(np.sin(_ANGLES))
-        (x, y), slack = self.room, 1e-9
-        fits = (length * cos + width * sin <= x + slack) & (length * sin + width * cos <= y + slack)
+        x, y = self.room
+        fits = (length * _COS + width * _SIN <= x) & (length * _SIN + width * _COS <= y)
         if fits[-1]:  # a quarter turn is as good as none
             return float(_ANGLES[0 if fits[0] else -1])
         return float(_ANGLES[fits.argmax()]) if fits.any() else None
@@ -42,11 +43,10 @@ class Printer:
 
     def longest(self, width: float) -> float:
         """Return the length (mm) of the longest strip of a width that lies on the bed, 0 where none does."""
-        (x, y), cos, sin = self.room, np.cos(_ANGLES), np.sin(_ANGLES)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            along = np.where(cos > 1e-9, (x - width * sin) / cos, np.inf)
-            across = np.where(sin > 1e-9, (y - width * cos) / sin, np.inf)
-        allowed = (width * sin <= x) & (width * cos <= y)
+        x, y = self.room
+        along = np.divide(x - width * _SIN, _COS, out=np.full_like(_COS, np.inf), where=_COS > 0)
+        across = np.divide(y - width * _COS, _SIN, out=np.full_like(_SIN, np.inf), where=_SIN > 0)
+        allowed = (width * _SIN <= x) & (width * _COS <= y)
         return float(max(np.where(allowed, np.minimum(along, across), 0.0).max(), 0.0))
 
     def __str__(self) -> str:

@@ -330,6 +330,9 @@ def test_a_design_is_handed_to_a_run_that_is_at_work_and_to_no_other(folder: Run
     [
         ("export RUN --formats dwg", "choose from: mjcf, urdf, stl, 3mf, glb, step"),
         ("export RUN --formats", "choose from: mjcf, urdf"),
+        ("export RUN --printer prusa", "choose from: bambu_a1_mini, bambu_x1c"),
+        ("export RUN --printer 20x300x300", "has a side outside 50 to 2000 mm"),
+        ("export RUN --formats mjcf --printer prusa_xl", "a printer is for the format 3mf, and the formats are: mjcf"),
         ("export RUN --design 9", "choose best, latest or 0 to 2"),
         ("export RUN --design newest", "choose best, latest or an iteration"),
         ("evaluate RUN --design 9", "choose best, latest or 0 to 2"),
