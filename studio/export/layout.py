@@ -10,7 +10,7 @@ from manifold3d import Manifold
 from studio.export.pieces import Piece
 from studio.export.printers import BORDER, Printer
 
-GAP = 6.0
+GAP = 4.0
 """Distance between bodies on a plate, in mm."""
 _ORDERS = 40
 """Number of orders in which bodies are put on a plate; the one that fills it best is kept."""
