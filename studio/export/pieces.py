@@ -1,6 +1,7 @@
 """How a part is printed: turned onto its widest side, and cut into dowelled pieces where no bed is long enough."""
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from manifold3d import CrossSection, Manifold, Mesh64, OpType
 
-from studio.export.printers import Printer
+from studio.export.printers import BORDER, Printer
 from studio.robots.parts import Part
 
 LAYER = 0.2
@@ -120,18 +121,19 @@ def pieces_of(part: Part, printer: Printer) -> Pieces:
 
 
 def _too_large(name: str, size: np.ndarray, printer: Printer) -> str:
-    """Return a sentence on a part of `size` (3,) mm that a printer can't print, and on what it could."""
+    """Return a sentence on a part of `size` (3,) mm that a printer can't print, and on what is allowed."""
     length, width, height = (float(s) for s in size)
     x, y = printer.room
     said = (
         f"{name} is {length:.0f} x {width:.0f} x {height:.0f} mm as it lies, and the printer {printer} has "
         f"{x:g} x {y:g} mm inside its border"
     )
-    longest = printer.longest(width) if height <= printer.size[2] else 0.0
-    if longest == 0.0:
-        return f"{said}: no part of this width and height is allowed"
-    if length < SLENDER * max(width, height):
-        return f"{said}: {longest:.0f} mm of length are allowed, and it is too wide to be cut"
+    if height > printer.size[2]:
+        return f"{said}: {printer.size[2]:g} mm of height are allowed"
+    longest = printer.longest(width)
+    if length < SLENDER * max(width, height) or longest == 0.0:
+        wide, deep = (math.ceil(side + 2 * BORDER) for side in (length, width))
+        return f"{said}, and it is too wide to be cut: a bed of {wide} x {deep} mm or more is needed"
     return (
         f"{said}: {longest:.0f} mm of length are allowed in one piece, {MOST_PIECES * longest:.0f} mm in {MOST_PIECES}"
     )

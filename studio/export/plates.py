@@ -71,7 +71,7 @@ def plan_prints(parts: Sequence[Part], printer: Printer, model: mujoco.MjModel |
     fits = fits_of(model, parts) if model is not None else []
     bodies = [piece for name, each in made.items() if name not in problems for piece in each.pieces]
     if bored := tightest(fits):
-        bodies.append(coupon(bored["pin"]))
+        bodies.append(coupon(round(bored["pin"], 1)))
         measured[COUPON] = _measured(bodies[-1])
     plates = arrange(bodies, printer)
     return Prints(printer, made, problems, plates, fits, measured)
