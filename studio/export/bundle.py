@@ -224,7 +224,7 @@ def _papers(
                 surfaces.append((placed[part.faces], colours[link][:3]))
         image = picture(surfaces)
     measured = next((score for score in scores if score.where == "at export"), None)
-    papers["report.html"] = report(design, robot, image, parts, measured, recorded, program)
+    papers["report.html"] = report(design, robot, image, parts, measured, recorded, program, prints)
     return papers
 
 

@@ -97,7 +97,7 @@ def _placed(content: bytes) -> list[tuple[str, Manifold]]:
     return bodies
 
 
-def _outside(bodies: Sequence[Manifold], size: tuple[float, float, float]) -> float:
+def _outside(bodies: Sequence[Manifold], size: Sequence[float]) -> float:
     """Return how far (mm) bodies reach out of the room above a bed, or begin above it."""
     out = 0.0
     for body in bodies:

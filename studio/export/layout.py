@@ -64,7 +64,7 @@ def _filled(bodies: Sequence[Piece], printer: Printer) -> tuple[list[Item], list
     from trimesh.path.packing import rectangles_single  # slow to load, and a server must start fast
 
     sizes = np.array([body.size[:2] for body in bodies])
-    best, placed, most = np.empty(0), np.empty(0, bool), -1.0
+    best, placed, most = np.empty((0, 2, 2)), np.empty(0, bool), -1.0
     for order in range(_ORDERS):
         bounds, inserted = rectangles_single(
             sizes + GAP, size=np.add(printer.room, GAP), shuffle=order > 0, rotate=True, random=order

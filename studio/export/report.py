@@ -10,6 +10,7 @@ from morph_core.protocol import Evaluation
 from studio.export.design_file import Design
 from studio.export.plates import Prints, dowels_bought, note_of
 from studio.export.policy import Score
+from studio.export.prints_page import prints_html
 from studio.export.ros import package_name
 from studio.robots.parts import Part
 from studio.robots.robot import Program, Robot
@@ -49,6 +50,7 @@ def report(
     score: Score | None,
     recorded: Evaluation | None,
     program: Program | None,
+    prints: Prints | None,
 ) -> bytes:
     """Return the page; everything in it that came from a run is escaped, and nothing in it is loaded from elsewhere."""
     run = f"<p>The policy, with numpy and mujoco alone<pre>{escape(program.command)}</pre>" if program else ""
@@ -74,6 +76,7 @@ def report(
 <table><tr><th>parameter<th>value<th>unit<th>initial<th>bounds<th></tr>{rows}</table>
 <h2>Success</h2>{_success(score, recorded)}
 {_parts(parts, robot)}
+{f"<h2>Print it</h2>{prints_html(prints)}" if prints else ""}
 <h2>Load it</h2>
 <p>MuJoCo: the robot alone, or with its task
 <pre>model = mujoco.MjModel.from_xml_path("{escape(design.robot)}.xml")
