@@ -97,9 +97,14 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
         return runs.start(_branch(runs.get(run_id), iteration, phi))
 
     def on_export(
-        run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None, servo: str | None
+        run_id: str,
+        which: str,
+        formats: Sequence[str] | None,
+        phi: list[float] | None,
+        servo: str | None,
+        printer: str | None,
     ) -> Bundle:
-        return build_bundle(runs.get(run_id), which, formats, phi, servo)
+        return build_bundle(runs.get(run_id), which, formats, phi, servo, printer)
 
     def make(client: viser.ClientHandle) -> Viewer:
         return Viewer(

@@ -25,9 +25,12 @@ from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
 from studio.export.materials import bill_csv, bill_html, bill_of_materials
-from studio.export.meshes import glb, three_mf
+from studio.export.meshes import glb
 from studio.export.mjcf import oldest_reader, write_mjcf
+from studio.export.plates import Prints, plan_prints, print_files, printers_for
 from studio.export.policy import Policy, Score, policy_at, policy_files
+from studio.export.printers import DEFAULT, printer_of
+from studio.export.prints_page import prints_html
 from studio.export.proof import PROVENANCE, check_onnx, prove_policy, prove_robot
 from studio.export.provenance import provenance_of
 from studio.export.report import Section, Sheet, report
@@ -72,14 +75,16 @@ def build_bundle(
     formats: Sequence[str] | None = None,
     phi: Sequence[float] | None = None,
     servo: str | None = None,
+    printer: str | None = None,
 ) -> Bundle:
     """Return the design `which`: "best", "latest" or an iteration; `phi`, where it is given, takes its place.
 
     The files are read back and compared with the simulated robot first. Raise ExportError with what disagrees, or
     with what is allowed. Where a `servo` is named, what the policy needs is measured in 256 episodes and compared with
-    it; without one, the episodes that prove the policy choose a servo of the table.
+    it; without one, the episodes that prove the policy choose a servo of the table. A `printer` that is asked for, by
+    name or size, must be able to print every part; parts that are too large for the default one are named.
     """
-    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float), servo)
+    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float), servo, printer)
     name = bundle_name(history, which, by_hand=phi is not None)
     return Bundle(name, files, checks, zipped(dict(sorted(files.items()))))
 
@@ -90,7 +95,12 @@ def default_formats(task: Task) -> tuple[str, ...]:
 
 
 def _build(
-    history: History, which: str, formats: Sequence[str] | None, other_phi: np.ndarray | None, servo: str | None
+    history: History,
+    which: str,
+    formats: Sequence[str] | None,
+    other_phi: np.ndarray | None,
+    servo: str | None,
+    printer: str | None,
 ) -> tuple[dict[str, bytes], list[Check]]:
     iteration, phi = _chosen(history, which)
     task = task_of(history)
@@ -99,7 +109,7 @@ def _build(
     _check_phi(history, phi)
     _check_buildable(task, phi)
     formats = default_formats(task) if formats is None else formats
-    check_formats(formats, task)
+    check_formats(formats, task, printer)
     wanted = None if servo is None else check_servo(servo, task)
     if wanted and "mjcf" not in formats:
         raise ExportError("what a policy needs of a servo is measured on scene.xml: choose the format mjcf with it")
@@ -111,6 +121,8 @@ def _build(
         files = robot_files(task, phi, parts, formats)
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
+    prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
+    files |= print_files(prints) if prints else {}
     checks = prove_robot(files, design, task, phi, only_mujoco=True)
     recorded = next(
         (e for e in reversed(history.evaluations) if e.iteration == iteration and e.phi == phi.tolist()), None
@@ -134,8 +146,11 @@ def _build(
     files[FILE] = _json(msgspec.to_builtins(design))
     measured = _episodes(history, recorded) if recorded else None
     oldest = _oldest(files)
-    files |= _papers(task, design, phi, parts, program, scores, recorded, measured, formats, oldest, table, wanted)
-    provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores, _oldest(files))
+    files |= _papers(
+        task, design, phi, parts, prints, program, scores, recorded, measured, formats, oldest, table, wanted
+    )  # fmt: skip
+    said, bed = [str(check) for check in checks], prints.printer.name if prints else ""
+    provenance = provenance_of(history, iteration, files, said, scores, oldest, bed)
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
     return files, checks
 
@@ -147,6 +162,16 @@ def _facts(task: Task, history: History, iteration: int) -> dict[str, object]:
         "about": about, "control_step_s": task.control_dt, "task": task.name, "run": history.folder.id,
         "iteration": iteration,
     }  # fmt: skip
+
+
+def _prints(task: Task, phi: np.ndarray, parts: Sequence[Part], printer: str | None) -> Prints:
+    """Return how the parts are printed; ExportError where a printer that is asked for can't print one."""
+    model = task.spec(phi).compile() if robot_of(task).printed else None
+    prints = plan_prints(parts, DEFAULT if printer is None else printer_of(printer), model)
+    if printer is not None and prints.problems:
+        able = ", ".join(printers_for(parts)) or "none of the table"
+        raise ExportError(f"{'; '.join(prints.problems.values())}; printers that are large enough: {able}")
+    return prints
 
 
 def parts_of_design(robot: Robot, phi: np.ndarray) -> list[Part]:
@@ -187,8 +212,6 @@ def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Seq
             files |= ros_package(task.name, name, urdf[f"{name}.urdf"], {**shown, **urdf}, size)
         files |= urdf if "urdf" in formats else {}
         files["control.json"] = _json(control_settings(model, scene.compile(), zero))
-    if "3mf" in formats:
-        files |= {f"3mf/{part.name}.3mf": three_mf(part) for part in parts}
     if "glb" in formats:
         files["assembly.glb"] = glb(parts, model, colours_of(model, parts))
     if "step" in formats:
@@ -209,6 +232,7 @@ def _papers(
     design: Design,
     phi: np.ndarray,
     parts: Sequence[Part],
+    prints: Prints | None,
     program: Program | None,
     scores: Sequence[Score],
     recorded: Evaluation | None,
@@ -225,12 +249,12 @@ def _papers(
         "README.txt": _readme(task, robot, held, program, oldest, table).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
-    more = []
+    more = [Section("Print it", prints_html(prints))] if prints else []
     if table:
         papers[servos.FILE] = _json(msgspec.to_builtins(table))
         more.append(Section("Servos", servo_html(table)))
     if robot.printed:
-        lines = bill_of_materials(robot, phi, parts, table.servo if table else wanted)
+        lines = bill_of_materials(robot, phi, parts, table.servo if table else wanted, prints)
         papers["BOM.csv"] = bill_csv(lines)
         more.append(Section("Bill of materials", bill_html(lines)))
     sheet = Sheet(
@@ -266,7 +290,9 @@ def _readme(
         f"         ros2 launch {package} display.launch.py",
         "ros2_control": "         each servo has a transmission and a ros2_control interface, of mock hardware as yet",
         "stl": printed if robot.printed else shapes,
-        "3mf": "         3mf/*.3mf (mm), with as many copies as are needed",
+        "3mf": "         3mf/*.3mf (mm), each part as often as it is needed, on its widest side; plates/*.3mf, all of\n"
+        "         them laid out on a printer, plates/*.svg, what that looks like, and plates/*.csv, what was\n"
+        "         measured; print pin_coupon first: its bores have 0, 0.1 ... 0.4 mm play for a pin",
         "glb": "Look:    assembly.glb (m)",
         "step": "CAD:     step/*.step (mm), plane faces",
     }
@@ -302,8 +328,8 @@ def bundle_name(history: History, which: str, *, by_hand: bool = False) -> str:
     return f"{run}-{label}{'-' + BY_HAND.replace(' ', '-') if by_hand else ''}.zip"
 
 
-def check_formats(formats: Sequence[str], task: Task) -> None:
-    """Raise ExportError that lists the available formats unless all of `formats` are."""
+def check_formats(formats: Sequence[str], task: Task, printer: str | None = None) -> None:
+    """Raise ExportError that lists what is available unless all of `formats` and the printer are."""
     has_parts = robot_of(task).has_parts
     allowed = (*default_formats(task), *(f for f in OPTIONAL_FORMATS if has_parts or f not in MESH_FORMATS))
     for name in formats:
@@ -313,6 +339,10 @@ def check_formats(formats: Sequence[str], task: Task) -> None:
             raise ExportError(f'unknown format "{name[:40]}"; choose from: {", ".join(allowed)}')
     if "ros2_control" in formats and not {"urdf", "ros"} & set(formats):
         raise ExportError("ros2_control is a part of a URDF: choose urdf or ros with it")
+    if printer is not None:
+        printer_of(printer)
+        if "3mf" not in formats:
+            raise ExportError(f"a printer is for the format 3mf, and the formats are: {', '.join(formats)}")
     if not formats:
         raise ExportError(f"no format given; choose from: {', '.join(allowed)}")
 

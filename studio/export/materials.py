@@ -9,11 +9,9 @@ import msgspec
 import numpy as np
 
 from morph_core.tasks.servos import ServoName
+from studio.export.plates import Prints, dowels_bought, note_of
 from studio.robots.parts import Part
 from studio.robots.robot import Robot
-
-LONGEST = 350.0  # mm
-"""Length of a part beyond which common printers can't make it in one piece."""
 
 
 class Line(msgspec.Struct, frozen=True):
@@ -33,8 +31,11 @@ class Line(msgspec.Struct, frozen=True):
     note: str = ""
 
 
-def bill_of_materials(robot: Robot, phi: np.ndarray, parts: Sequence[Part], servo: ServoName | None) -> list[Line]:
-    """Return what a design (d,) needs, with the `servo` that drives its joints, if one was chosen."""
+def bill_of_materials(
+    robot: Robot, phi: np.ndarray, parts: Sequence[Part], servo: ServoName | None, prints: Prints | None = None
+) -> list[Line]:
+    """Return what a design (d,) needs, with the `servo` that drives its joints, if one was chosen, and the dowels of
+    parts that are printed in pieces."""
     printed = [
         Line(
             item=part.name,
@@ -44,7 +45,7 @@ def bill_of_materials(robot: Robot, phi: np.ndarray, parts: Sequence[Part], serv
             material="PLA, infill 100%",
             mass=part.inertial.mass,
             size=" x ".join(f"{side:.1f}" for side in part.size),
-            note="longer than common printers: print it in pieces" if part.size.max() > LONGEST else "",
+            note=note_of(prints, part.name) if prints else "",
         )
         for part in parts
     ]
@@ -55,7 +56,11 @@ def bill_of_materials(robot: Robot, phi: np.ndarray, parts: Sequence[Part], serv
         )
         for thing in robot.bought(phi, parts, servo)
     ]  # fmt: skip
-    return printed + bought
+    dowels = [
+        Line(item=str(item), quantity=count, links=str(links), material="steel", note=note)
+        for item, count, links, note in (dowels_bought(prints) if prints else [])
+    ]
+    return [*printed, *bought, *dowels]
 
 
 def total(lines: Sequence[Line]) -> Line:

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def onnx_file(policy: Policy, program: Program, facts: Mapping[str, object]) -> 
         constants[name] = np.array(value, kind)
         return name
 
-    def node(operator: str, *inputs: str, to: str, **attributes: int) -> str:
+    def node(operator: str, *inputs: str, to: str, **attributes: Any) -> str:
         nodes.append(helper.make_node(operator, list(inputs), [to], name=to, **attributes))
         return to
 

@@ -17,9 +17,11 @@ from morph_core.catalogue import make_task
 from morph_core.task import Task
 from studio.export import onnx_policy
 from studio.export.check import Check, relative, worst
+from studio.export.check_prints import Surface, check_part_file, check_plates
 from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
 from studio.export.meshes import start_posture
+from studio.export.plates import PIECES
 from studio.export.policy import Score, read_policy, score
 from studio.export.provenance import Provenance
 from studio.export.readings import collision_box, read_mjcf
@@ -34,6 +36,8 @@ from studio.robots.parts import BASE, MILLIMETRE, body_of
 
 MASS_ALLOWED = 1e-6
 """Relative difference of masses that is allowed: STL and GLB are single precision."""
+DOWELS_ALLOWED = 0.1
+"""Share of a part's mass that its pieces may miss: the holes for dowels."""
 SINGLE_ALLOWED = 1e-6  # relative to the robot's size
 SCENE_ALLOWED = 1e-9
 _DYNAMICS = (
@@ -44,8 +48,6 @@ _DYNAMICS = (
 _COUNTS = ("nbody", "njnt", "nv", "nu", "na", "neq", "ntendon", "npair", "nexclude", "nmocap", "nplugin", "nflex")
 """What the physics of a model consists of; shapes that are only shown, keyframes and sensors are added for readers."""
 PROVENANCE = "provenance.json"
-Surface = tuple[np.ndarray, np.ndarray]
-"""A closed surface: vertices (V, 3) m and faces (F, 3)."""
 
 
 def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = False) -> list[Check]:
@@ -151,6 +153,8 @@ def prove_robot(
         checks += _guarded(f"{urdf}: speeds", lambda: [_check_speeds(urdf, files[urdf], model, robot.speeds)])
     for part in design.parts:
         checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed))
+    if PIECES in files:
+        checks += _guarded("plates", lambda: check_plates(files, design.parts))
     if "assembly.glb" in files:
         checks += _guarded("assembly.glb", lambda: _check_assembly(files["assembly.glb"], design, model, printed))
     return checks
@@ -290,29 +294,22 @@ def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjMod
         mesh = trimesh.load_mesh(io.BytesIO(files[stl]), file_type="stl")
         surfaces[stl] = np.asarray(mesh.vertices) * MILLIMETRE, np.asarray(mesh.faces)
     if three_mf in files:
-        surfaces[three_mf], check = _read_three_mf(three_mf, files[three_mf], part)
+        bodies, check = check_part_file(three_mf, files[three_mf], part)
+        surfaces |= bodies
         checks.append(check)
+    pieces = [surface for path, surface in surfaces.items() if path not in (stl, three_mf)]
+    if pieces and printed:
+        missing = 1 - sum(moments(*piece).inertial().mass for piece in pieces) / part.mass
+        checks.append(Check(f"{three_mf}: mass that its pieces miss", abs(missing), DOWELS_ALLOWED))
     for path, surface in surfaces.items():
         checks.append(_check_solid(path, surface, one_body=printed))
         if not len(surface[1]):
             continue
         for link in part.links:
             if link != BASE:
-                checks += _check_mass(path, surface, model, link) if printed else []
+                checks += _check_mass(path, surface, model, link) if printed and path in (stl, three_mf) else []
                 checks += _check_enclosed(path, surface, model, link)
     return checks
-
-
-def _read_three_mf(path: str, content: bytes, part: PartEntry) -> tuple[Surface, Check]:
-    """Return the surface of the one part that trimesh finds in a 3MF, and the check of what else that says of it."""
-    import trimesh
-
-    scene = trimesh.load_scene(io.BytesIO(content), file_type="3mf")
-    ((name, mesh),) = scene.geometry.items()
-    copies, unit = len(scene.graph.nodes_geometry), scene.units
-    sound = copies == len(part.links) and name == part.name and unit == "millimeter"
-    check = Check(f"{path}: quantity, name and unit", float(not sound), 0.0, f"{copies} x {name} in {unit}")
-    return (np.asarray(mesh.vertices) * MILLIMETRE, np.asarray(mesh.faces)), check
 
 
 def _check_solid(path: str, surface: Surface, one_body: bool) -> Check:

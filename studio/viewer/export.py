@@ -8,6 +8,8 @@ from morph_core.history import History
 from morph_core.tasks.servos import SERVOS
 from studio.export.bundle import ALL_FORMATS, OPTIONAL_FORMATS, Bundle
 from studio.export.design_file import DESIGN_TYPES
+from studio.export.printers import CHOICES as PRINTERS
+from studio.export.printers import DEFAULT
 from studio.export.ros import FOLDER
 from studio.export.servos import takes_servos
 from studio.viewer import wording
@@ -19,15 +21,15 @@ HINTS = {
     "mjcf": "MuJoCo: the robot, the robot with its task, and one .mjz that live.mujoco.org opens",
     "urdf": "ROS, Isaac and others; servo gains in control.json",
     "stl": "to print, one file for each part, mm",
-    "3mf": "to print, with names and quantities, mm",
+    "3mf": "to print, lying on the plates of a printer, with pictures of them, mm",
     "glb": "the assembly to look at, m",
     "step": "for CAD programs; needs build123d and takes half a minute",
     "ros": "a ROS 2 description package, which a launch file shows in RViz",
     "ros2_control": "servos in the URDF: transmissions, and ros2_control with mock hardware",
 }
 _PLACES = {
-    "mjcf": (".xml", ".mjz"), "urdf": (".urdf", "control.json"), "stl": (".stl",), "3mf": (".3mf",), "glb": (".glb",),
-    "step": (".step",), "ros": (), "ros2_control": (),
+    "mjcf": (".xml", ".mjz"), "urdf": (".urdf", "control.json"), "stl": (".stl",), "3mf": (".3mf", ".svg"),
+    "glb": (".glb",), "step": (".step",), "ros": (), "ros2_control": (),
 }  # fmt: skip
 
 
@@ -37,7 +39,8 @@ def _is_of(name: str, path: str) -> bool:
 
 
 class ExportPanel:
-    """`on_export("best", "latest" or an iteration's number, formats, servo or None)` builds and checks a bundle.
+    """`on_export("best", "latest" or an iteration's number, formats, servo, printer)` builds and checks a bundle; servo
+    and printer are None where nothing was asked for.
 
     `on_import(content, client)` is handed the bytes of a design.json or of a bundle.
     """
@@ -46,7 +49,7 @@ class ExportPanel:
         self,
         gui: viser.GuiApi,
         *,
-        on_export: Callable[[str, Sequence[str], str | None], Bundle],
+        on_export: Callable[[str, Sequence[str], str | None, str | None], Bundle],
         on_import: Callable[[bytes, viser.ClientHandle | None], None],
     ) -> None:
         self._on_export = on_export
@@ -66,6 +69,7 @@ class ExportPanel:
             self.formats = {
                 name: gui.add_checkbox(name, name not in OPTIONAL_FORMATS, hint=HINTS[name]) for name in ALL_FORMATS
             }
+            self.printer = gui.add_text("printer", DEFAULT.name, hint=f"For 3mf: {PRINTERS}")
         self.check = gui.add_button("Check and prepare", icon=viser.Icon.CHECKLIST, color="blue")
         self.notice = gui.add_html("", visible=False)
         self.download = gui.add_button("Download", icon=viser.Icon.DOWNLOAD, color="green", visible=False)
@@ -79,6 +83,7 @@ class ExportPanel:
         self.servo.on_update(lambda _: self._choose())
         for box in self.formats.values():
             box.on_update(lambda _: self._choose())
+        self.printer.on_update(lambda _: self._choose())
         self.check.on_click(lambda _: self.submit())
         self.download.on_click(lambda event: self.send(event.client))
         self.bring.on_upload(lambda event: on_import(event.target.value.content, event.client))
@@ -128,7 +133,8 @@ class ExportPanel:
         self.check.disabled = True
         try:
             servo = None if self.servo.value == BY_NEED else str(self.servo.value)
-            bundle = self._on_export(which, [name for name, box in self.formats.items() if box.value], servo)
+            names = [name for name, box in self.formats.items() if box.value]
+            bundle = self._on_export(which, names, servo, self._wanted_printer(names))
         except (ValueError, OSError) as error:
             self.tell(str(error))
         else:
@@ -136,6 +142,11 @@ class ExportPanel:
             self._offer(bundle)
         finally:
             self.check.disabled = False
+
+    def _wanted_printer(self, formats: Sequence[str]) -> str | None:
+        """Return the printer that must be able to print every part; None where nothing was asked for."""
+        word = self.printer.value.strip()
+        return None if "3mf" not in formats or word in ("", DEFAULT.name) else word
 
     def send(self, client: viser.ClientHandle | None) -> None:
         """Hand the prepared bundle to the browser that asked for it."""

@@ -273,6 +273,7 @@ class Page:
     resumed: list[str] = field(default_factory=list)
     exported: list[tuple[str, str, list[str]]] = field(default_factory=list)
     servos: list[str] = field(default_factory=list)
+    printers: list[str | None] = field(default_factory=list)
     changed: list[list[float]] = field(default_factory=list)
     """Designs changed by hand that were exported."""
     branched: list[tuple[str, int, list[float]]] = field(default_factory=list)
@@ -308,10 +309,16 @@ def page() -> Iterator[Page]:
         return NAME
 
     def export(
-        run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None, servo: str | None
+        run_id: str,
+        which: str,
+        formats: Sequence[str] | None,
+        phi: list[float] | None,
+        servo: str | None,
+        printer: str | None,
     ) -> Bundle:
         heed(lambda: page.exported.append((run_id, which, list(formats or []))))
         page.servos += [servo] if servo else []
+        page.printers.append(printer)
         page.changed += [phi] if phi is not None else []
         return Bundle("design.zip", {"robot.xml": b"xml", "robot.urdf": b"urdf"}, [Check("masses", 0.0, 0.0)], b"zip")
 

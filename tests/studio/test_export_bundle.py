@@ -80,7 +80,9 @@ def test_the_zip_holds_robot_scene_design_and_provenance(history: History) -> No
     files = unpack(bundle.content)
     assert bundle.name == f"{history.folder.id}-best-000002.zip"
     parts = {"base", *(f"link_{i}" for i in range(1, 6))}
-    assert set(files) == {
+    plates = {path for path in files if path.startswith("plates/")}
+    assert {"plates/plate_1.3mf", "plates/plate_1.svg", "plates/pieces.csv", "plates/joints.csv"} <= plates
+    assert set(files) - plates == {
         "README.txt", "LICENSE", "BOM.csv", "report.html", "design.json", "provenance.json", "control.json",
         "robot.urdf", "robot.xml", "robot.mjz", "scene.xml", "assembly.glb",
         *(f"parts/{part}.stl" for part in parts), *(f"3mf/{part}.3mf" for part in parts),
@@ -144,6 +146,19 @@ def test_one_format_alone_leaves_the_other_out(history: History) -> None:
 def test_other_formats_are_refused_with_the_list(history: History, formats: list[str]) -> None:
     with pytest.raises(ExportError, match="choose from: mjcf, urdf, stl, 3mf, glb, step"):
         build_bundle(history, "best", formats)
+
+
+def test_a_printer_that_is_asked_for_must_hold_every_part(history: History) -> None:
+    with pytest.raises(
+        ExportError, match=r"link_1 is \d+ x 55 x 30 mm .* printers that are large enough: none of the t"
+    ):
+        build_bundle(history, "best", ["3mf"], printer="prusa_xl")
+    with pytest.raises(ExportError, match=r"base is \d+ x \d+ x \d+ mm .* large enough: bambu_x1c.*, prusa_xl"):
+        build_bundle(history, "best", ["3mf"], [0.3] * 5, printer="prusa_mini")
+    files = build_bundle(history, "best", ["3mf"], [0.3] * 5, printer="300x300x200").files
+    assert json.loads(files["provenance.json"])["printer"] == "300x300x200"
+    assert b"printer 300 x 300 x 200 mm" in files["plates/plate_1.svg"]
+    assert b"dowel pin 12 x 60 mm" in files["BOM.csv"]
 
 
 @pytest.mark.parametrize("which", ["4", "newest", "../1", "-1", ""])

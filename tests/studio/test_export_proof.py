@@ -6,6 +6,7 @@ import io
 import itertools
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -29,8 +30,10 @@ from studio.export.archive import unzipped, zipped
 from studio.export.bundle import EPISODES, FORMATS, Bundle, build_bundle, parts_of_design, robot_files
 from studio.export.design_file import Design, PartEntry, phi_for, read_design, starting_from
 from studio.export.errors import ExportError
-from studio.export.meshes import three_mf
+from studio.export.meshes import Body, three_mf
+from studio.export.plates import plan_prints, print_files
 from studio.export.policy import Policy, Score
+from studio.export.printers import DEFAULT
 from studio.export.proof import prove, prove_robot, unpack
 from studio.export.servos import ServoTable
 from studio.export.urdf import urdf_names
@@ -62,10 +65,10 @@ def corners(task: Task) -> list[np.ndarray]:
 def faults_of(task: Task, phi: np.ndarray) -> list[str]:
     """Return where the files of a design differ from the robot that is simulated, whoever reads them."""
     parts, robot = robot_of(task).parts(phi), robot_of(task).file_name
-    files = robot_files(task, phi, parts, FORMATS)
+    model = task.spec(phi).compile()
+    files = robot_files(task, phi, parts, FORMATS) | print_files(plan_prints(parts, DEFAULT, model))
     checks = prove_robot(files, design_in(task, parts), task, phi)
     faults = [str(check) for check in checks if not check.passed]
-    model = task.spec(phi).compile()
     zero = zero_of(model, robot_of(task).zero(phi))
     with tempfile.TemporaryDirectory() as folder:
         unpack(files, Path(folder))
@@ -238,6 +241,7 @@ def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
         "servos.json",
         *(f"{folder}/{part}.{ending}" for folder, ending in (("parts", "stl"), ("3mf", "3mf"))
           for part in ("palm", *links)),
+        "plates/plate_1.3mf", "plates/plate_1.svg", "plates/pieces.csv", "plates/joints.csv",
     }  # fmt: skip
     assert all(check.passed for check in prove(bundle.files, episodes=4))
     rows = bundle.files["BOM.csv"].decode().splitlines()
@@ -377,7 +381,8 @@ def without_a_copy(content: bytes) -> bytes:
 
 def with_a_second_object(_: bytes) -> bytes:
     cube = trimesh.creation.box((10, 10, 10))
-    files = unzipped(three_mf(Part("palm", ("palm",), np.asarray(cube.vertices), np.asarray(cube.faces))))
+    body = Body("palm", np.asarray(cube.vertices), np.asarray(cube.faces), [np.eye(3, 4)])
+    files = unzipped(three_mf("palm", "", [body]))
     text = files["3D/3dmodel.model"].decode()
     thing = text[text.index("<object ") : text.index("</object>") + len("</object>")]
     text = text.replace(thing, thing + thing.replace('id="1"', 'id="2"')).replace(
@@ -386,10 +391,30 @@ def with_a_second_object(_: bytes) -> bytes:
     return zipped(files | {"3D/3dmodel.model": text.encode()})
 
 
+def moved_item(by: str) -> Callable[[bytes], bytes]:
+    """Return a breaking of a 3MF: its first item lies elsewhere."""
+
+    def move(content: bytes) -> bytes:
+        files = unzipped(content)
+        text = files["3D/3dmodel.model"].decode()
+        where = re.search(r'transform="((?:\S+ ){9})[^"]+"', text)
+        assert where
+        text = text.replace(where[0], f'transform="{where[1]}{by}"', 1)
+        return zipped(files | {"3D/3dmodel.model": text.encode()})
+
+    return move
+
+
 BREAKS = [
+    ("plates/plate_1.3mf", moved_item("-20 90 20"), "plates/plate_1.3mf: inside the printer"),
+    ("plates/plate_1.3mf", moved_item("128 128 6"), "plates/plate_1.3mf: none over another"),
+    ("plates/plate_1.3mf", without_a_copy, "plates: each piece as often as needed"),
+    ("plates/pieces.csv", replaced("finger_1_distal", "finger_9_distal"), "plates: each piece as often as needed"),
+    ("plates/pieces.csv", lambda _: b"", "plates"),
+    ("3mf/finger_1_distal.3mf", moved_item("0 0 -50"), "3mf/finger_1_distal.3mf: lies on the bed"),
     ("3mf/palm.3mf", in_inches, "3mf/palm.3mf: quantity, name and unit"),
     ("3mf/finger_2_distal.3mf", without_a_copy, "3mf/finger_2_distal.3mf: quantity"),
-    ("3mf/palm.3mf", with_a_second_object, "part palm"),
+    ("3mf/palm.3mf", with_a_second_object, "3mf/palm.3mf: quantity"),
     ("3mf/palm.3mf", lambda content: content[:400], "3mf/palm.3mf"),
     ("parts/palm.stl", holed, "parts/palm.stl: watertight"),
     ("parts/finger_1_distal.stl", larger, "parts/finger_1_distal.stl: mass"),

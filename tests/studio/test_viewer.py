@@ -607,6 +607,17 @@ def test_a_servo_is_chosen_where_the_robot_takes_servos(page: Page, folder: RunF
     assert page.servos == ["XM430-W350"]
 
 
+def test_a_printer_is_asked_for_only_by_who_prints_on_another(page: Page, folder: RunFolder) -> None:
+    page.show(folder)
+    export = page.viewer.export
+    for word in ("prusa_xl", " 300x300x400 ", "", "256x256x256"):
+        export.printer.value = word
+        export.submit()
+    export.printer.value, export.formats["3mf"].value = "prusa_xl", False
+    export.submit()
+    assert page.printers == ["prusa_xl", "300x300x400", None, None, None]
+
+
 def test_what_was_compared_is_shown_and_a_change_of_mind_takes_it_away(page: Page, folder: RunFolder) -> None:
     page.show(folder)
     export = page.viewer.export
