@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -10,12 +9,14 @@ import numpy as np
 from studio.robots import geometry
 from studio.robots.parts import MILLIMETRE, Part, body_of
 
-SAMPLES = 4000
-"""Number of points on each print among which the nearest are looked for."""
-NEAREST = 8
-"""Number of nearest samples whose triangles are measured exactly."""
+CHUNK = 100
+"""Number of points that are measured at once."""
+NEAREST = 6
+"""Number of triangles that are tried first, before those that can be nearer."""
 ANGLES = 33
 """Number of angles of a joint at which its two shapes are tried."""
+NEAR = 0.5
+"""mm: points that are nearer to their own link's print are not compared with its neighbours'."""
 TOUCHING = 1e-6
 """mm: points as far inside a shape are on its surface."""
 
@@ -82,35 +83,46 @@ class _Shape:
 
 
 class _Print:
-    """A part with its holes filled."""
+    """A part with its holes filled, in its own frame."""
 
-    def __init__(self, part: Part, rng: np.random.Generator) -> None:
-        assert part.drilled is not None
+    def __init__(self, part: Part) -> None:
+        if part.drilled is None:
+            raise ValueError(f"{part.name} was not drawn for a printer")
         vertices, faces = geometry.mesh(part.drilled.body)
         self._corners = vertices[faces]  # (F, 3, 3) mm
-        self._rng = rng
+        self._low, self._high = self._corners.min(1), self._corners.max(1)
 
-    @cached_property
-    def samples(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points (SAMPLES, 3) of the surface, evenly spread, and the triangles (SAMPLES,) on which they are."""
+    def sample(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return points (count, 3) of the surface, evenly spread."""
         a, b, c = np.moveaxis(self._corners, 1, 0)
         areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        on = self._rng.choice(len(areas), SAMPLES, p=areas / areas.sum())
-        u, v = self._rng.uniform(size=(2, SAMPLES, 1))
+        on = rng.choice(len(areas), count, p=areas / areas.sum())
+        u, v = rng.uniform(size=(2, count, 1))
         u, v = np.where(u + v > 1, [1 - u, 1 - v], [u, v])
-        return a[on] + u * (b - a)[on] + v * (c - a)[on], on
+        return a[on] + u * (b - a)[on] + v * (c - a)[on]
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Return how far points (N, 3) are from the surface, in the part's frame."""
+        """Return how far points (N, 3) are from the surface."""
+        found = [self._distance(points[i : i + CHUNK]) for i in range(0, len(points), CHUNK)]
+        return np.concatenate([np.zeros(0), *found])
+
+    def _distance(self, points: np.ndarray) -> np.ndarray:
+        # No triangle is nearer than the box round it.
+        at_least = np.zeros((len(points), len(self._low)))
+        for axis in range(3):
+            x = points[:, axis, None]
+            at_least += np.maximum(np.maximum(self._low[:, axis] - x, x - self._high[:, axis]), 0) ** 2
+        nearest = np.argpartition(at_least, NEAREST, axis=1)[:, :NEAREST]
+        apart = self._apart(points.repeat(NEAREST, axis=0), nearest.ravel()).reshape(-1, NEAREST).min(1)
+        of_point, face = np.nonzero(at_least < apart[:, None] ** 2)
+        np.minimum.at(apart, of_point, self._apart(points[of_point], face))
+        return apart
+
+    def _apart(self, points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        """Return how far each point (N, 3) is from its face (N,)."""
         from trimesh.triangles import closest_point
 
-        samples, on = self.samples
-        squares = (samples**2).sum(1) - 2 * points @ samples.T
-        nearest = np.argpartition(squares, NEAREST, axis=1)[:, :NEAREST]
-        triangles = self._corners[on[nearest]].reshape(-1, 3, 3)
-        repeated = np.repeat(points, NEAREST, axis=0)
-        apart = np.linalg.norm(closest_point(triangles, repeated) - repeated, axis=1)
-        return apart.reshape(-1, NEAREST).min(1)
+        return np.linalg.norm(closest_point(self._corners[faces], points) - points, axis=1)
 
 
 @dataclass(frozen=True)
@@ -136,21 +148,24 @@ def deviation(
     """
     rng = np.random.default_rng(seed)
     links = [(body_of(model, link), part) for part in parts for link in part.links]
-    drawn = {part.name: _Print(part, rng) for part in parts}
+    drawn = {part.name: _Print(part) for part in parts}
     prints = {body: drawn[part.name] for body, part in links}
     shapes = {body: _shapes(model, body) for body in prints}
     poses = _poses(model, _start(model) if qpos is None else qpos)
     outside, inside, crotch = [], [], []
     for body in sorted(body for body in prints if shapes[body]):
         near = [body, *(other for other in prints if _joint_between(model, body, other) is not None)]
-        surface = poses[body].to_world(prints[body].samples[0][:points])
+        surface = poses[body].to_world(prints[body].sample(points, rng))
         outside.append(np.min([_depth(shapes[o], poses[o].to_link(surface)) for o in near], axis=0))
         local = _sample(shapes[body], points, rng)
         world = poses[body].to_world(local)
         others = [_depth(shapes[o], poses[o].to_link(world)) for o in shapes if o != body]
         seen = np.min(others, axis=0, initial=0.0) > -TOUCHING
         local, world = local[seen], world[seen]
-        apart = np.min([prints[o].distance(poses[o].to_link(world)) for o in near], axis=0)
+        apart = prints[body].distance(local)
+        for other in near[1:]:
+            off = apart > NEAR  # a neighbour's print may be there instead
+            apart[off] = np.minimum(apart[off], prints[other].distance(poses[other].to_link(world[off])))
         left_out = np.any([_in_crotch(model, body, o, shapes[o], local) for o in near[1:]], axis=0)
         inside.append(apart[~left_out])
         crotch.append(apart[left_out])
