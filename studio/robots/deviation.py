@@ -27,7 +27,7 @@ class Deviation:
 
     Holes count as filled, for pins, bolts, cables and servos fill them. Left out are the crotches of the joints: what
     of a shape is outside the ball of a joint and is reached by the neighbour's shape in another posture. Two shapes
-    may be in one place, two prints may not.
+    may be in one place, two prints may not. So is what a part covers that has no collision shape: the arm's foot.
     """
 
     outside_max: float
@@ -106,6 +106,17 @@ class _Print:
         found = [self._distance(points[i : i + CHUNK]) for i in range(0, len(points), CHUNK)]
         return np.concatenate([np.zeros(0), *found])
 
+    def encloses(self, points: np.ndarray) -> np.ndarray:
+        """Tell which points (N, 3) are inside: from there the surface is seen all round."""
+        a, b, c = np.moveaxis(self._corners[None] - points[:, None, None], 2, 0)  # (N, F, 3) each
+        length_a, length_b, length_c = (np.linalg.norm(corner, axis=2) for corner in (a, b, c))
+        volume = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
+        products = [np.einsum("nfi,nfi->nf", *pair) for pair in ((a, b), (b, c), (c, a))]
+        flat = length_a * length_b * length_c + np.sum(
+            [product * length for product, length in zip(products, (length_c, length_a, length_b), strict=True)], axis=0
+        )
+        return 2 * np.arctan2(volume, flat).sum(1) > 2 * np.pi
+
     def _distance(self, points: np.ndarray) -> np.ndarray:
         # No triangle is nearer than the box round it.
         at_least = np.zeros((len(points), len(self._low)))
@@ -166,7 +177,11 @@ def deviation(
         for other in near[1:]:
             off = apart > NEAR  # a neighbour's print may be there instead
             apart[off] = np.minimum(apart[off], prints[other].distance(poses[other].to_link(world[off])))
-        left_out = np.any([_in_crotch(model, body, o, shapes[o], local) for o in near[1:]], axis=0)
+        left_out = np.zeros(len(local), dtype=bool)
+        for other in near[1:]:
+            left_out |= _in_crotch(model, body, other, shapes[other], local)
+            if not shapes[other]:
+                left_out |= prints[other].encloses(poses[other].to_link(world))
         inside.append(apart[~left_out])
         crotch.append(apart[left_out])
     out, gap, left = np.maximum(np.concatenate(outside), 0), np.concatenate(inside), np.concatenate(crotch)
@@ -240,7 +255,8 @@ def _in_crotch(
     pin = model.body_pos[child] / MILLIMETRE
     ball = float(model.geom_size[model.body_geomadr[child], 0]) / MILLIMETRE
     reached = np.zeros(len(points), dtype=bool)
-    for angle in np.linspace(low, high, ANGLES):
+    spare = 2 * geometry.MARGIN
+    for angle in np.linspace(low - spare, high + spare, ANGLES):
         turn = np.zeros(4)
         mujoco.mju_axisAngle2Quat(turn, model.jnt_axis[joint], angle)
         pose = _Pose(_matrix(model.body_quat[child]) @ _matrix(turn), pin)

@@ -71,6 +71,11 @@ class Sizes:
         """Distance from the pin at which the wall of a socket begins, as thick as `rim` at the flats."""
         return math.sqrt((self.radius + self.gap) ** 2 - (self.half_width - self.rim) ** 2)
 
+    @property
+    def roomy(self) -> float:
+        """Length of the shortest link whose joints are as thick as itself."""
+        return 2 * (self.radius + self.gap) + self.web
+
     def joint(self, length: float) -> float:
         """Return the radius of the joints of a link of `length` mm: its own, or that for which a short one has room."""
         return min(max((length - self.web) / 2 - self.gap, self.joint_radius), self.radius)
@@ -122,7 +127,7 @@ _LINKS = 16
 """Size of the link caches: one design's worth. A larger cache grew a long-watched studio."""
 _FAR = 1e3
 """mm: beyond every palm."""
-_MARGIN = 0.01
+MARGIN = 0.01
 """rad: what links are free to turn beyond their limits, which a servo overshoots."""
 
 
@@ -236,7 +241,7 @@ def _room(length: float, sizes: Sizes, *, folds: bool) -> Manifold:
     far, width = 4 * (length + sizes.radius), 2 * sizes.radius
     if not folds:
         return _corners((-far, far), 2 * width, (-far, 0))
-    inward, back = ((math.pi - angle) / 2 - _MARGIN for angle in (sizes.fold, sizes.back))
+    inward, back = ((math.pi - angle) / 2 - MARGIN for angle in (sizes.fold, sizes.back))
     planes = np.array([[math.cos(inward), -math.sin(inward)], [-math.cos(back), -math.sin(back)]])
     apex = np.linalg.solve(planes, np.full(2, sizes.gap / 2))
     sides = apex + far * np.array([[-math.sin(inward), -math.cos(inward)], [math.sin(back), -math.cos(back)]])
@@ -264,7 +269,7 @@ def _swept(start: float, width: float) -> Manifold:
         .extrude(3 * SIZES.radius)
         .translate((0, 0, -start - 3 * SIZES.radius))
     )
-    swing = np.linspace(PALM.swing[0] - _MARGIN, 0, 5)
+    swing = np.linspace(PALM.swing[0] - MARGIN, 0, 5)
     turned = [along.rotate((0, -math.degrees(angle), 0)) for angle in swing]
     hull = Manifold.batch_hull(turned).translate((PALM.radius, 0, 0))
     return hull ^ _corners((-_FAR, _FAR), width, (-_FAR, _FAR))

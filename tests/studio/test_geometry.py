@@ -25,8 +25,6 @@ HANDS, TASKS = ("pen_press", "mouse_click"), ("pen_press", "mouse_click", "reach
 LENGTHS = st.one_of(st.sampled_from([0.02, 0.4]), st.floats(*hand.LENGTH_BOX))  # m
 MG90S_FLANGE = (32.6, 12.4)  # mm, along and across: what the servo covers of the palm's top
 PROMISED = 1.0  # mm: between prints and collision shapes, of links that have room for their joints
-ROOMY = 1.4
-"""Length of the shortest link with joints as thick as itself, as a multiple of its diameter."""
 
 
 def whole(drilled: Drilled) -> None:
@@ -217,7 +215,7 @@ def test_prints_are_where_the_collision_shapes_are_in_a_hundred_designs(name: st
         model = task.spec(phi).compile()
         low, high = np.where(model.jnt_limited[:, None], model.jnt_range, [-ARM.fold, ARM.fold]).T
         parts = parts_of(task, phi)
-        roomy = phi[lengths].min() >= ROOMY * 2 * MILLIMETRE * (ARM if name == "reacher" else SIZES).radius
+        roomy = phi[lengths].min() >= MILLIMETRE * (ARM if name == "reacher" else SIZES).roomy
         for qpos in (None, rng.uniform(low, high)):
             found = deviation(model, parts, qpos)
             assert found.outside_max <= PROMISED, phi
