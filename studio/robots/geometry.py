@@ -5,9 +5,10 @@ where what is simulated touches. A link hangs from its joint along -z and turns 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import repeat
 from typing import Literal
 
 import numpy as np
@@ -105,12 +106,14 @@ class PalmSizes:
     """Diameter of the hole in the middle of the palm."""
     servo_pocket: tuple[float, float, float] = (23.2, 12.6, 16.5)
     """Size of a pocket for an MG90S below its flange, with room: along the flange, across it, and deep."""
-    servo_radius: float = 39.6
+    servo_radius: float = 48.3
     """Distance of a pocket's middle from the palm's axis: outside the flange on which the palm is bolted."""
     servo_screws: tuple[float, float, float] = (27.8, 1.7, 8.0)
     """Distance, diameter and depth of the pilot holes of a servo's two screws."""
-    tendon_hole: tuple[float, float] = (48.0, 2.0)
-    """Distance from the palm's axis and diameter of the hole from a servo to the rim of its finger's tang."""
+    tendon_hole: tuple[float, float] = (39.0, 2.0)
+    """Distance from the palm's axis and diameter of the hole from a servo to the inner side of its finger."""
+    servo_joint: float = 10.5
+    """Largest radius of the joints under servos: a larger tang would turn into their pockets."""
     swing: tuple[float, float] = PROXIMAL_RANGE
     """rad: angles between which a finger turns on the palm; positive is outward."""
 
@@ -199,11 +202,13 @@ def palm(angles: tuple[float, ...], joints: tuple[float, ...], servo: Servo = "n
         (sizes.radius, sizes.high - sizes.chamfer), (sizes.radius - sizes.chamfer, sizes.high), (0, sizes.high),
     ]  # fmt: skip
     degrees = [math.degrees(angle) for angle in angles]
-    swept = [_swept(SIZES.socket - SIZES.gap, 2 * _FAR).rotate((0, 0, angle)) for angle in degrees]
-    mounts = [_mount(joint).rotate((0, 0, angle)) for angle, joint in zip(degrees, joints, strict=True)]
-    disc = _turned(outline, sizes.segments) - Manifold.batch_boolean(swept, OpType.Add)
-    body = Manifold.batch_boolean([disc, *mounts], OpType.Add)
-    body -= Manifold.batch_boolean([_slot_of_mount().rotate((0, 0, angle)) for angle in degrees], OpType.Add)
+
+    def round_it(pieces: Iterable[Manifold]) -> Manifold:
+        turned = [piece.rotate((0, 0, angle)) for piece, angle in zip(pieces, degrees, strict=False)]
+        return Manifold.batch_boolean(turned, OpType.Add)
+
+    body = _turned(outline, sizes.segments) - round_it(repeat(_swept()))
+    body = body + round_it(map(_mount, joints)) - round_it(map(_slot_of_mount, joints))
     pin = _bore(SIZES).translate((sizes.radius, 0, 0))
     tools = [pin.rotate((0, 0, angle)) for angle in degrees]
     if servo != "none":
@@ -252,27 +257,21 @@ def _socket(joint: float, root: Root, sizes: Sizes) -> Manifold:
     """Return what is taken from a link for the lugs between which its tang turns, and for the neck of a foot."""
     wide = 2 * sizes.radius
     ball = Manifold.sphere(sizes.radius + sizes.gap, sizes.segments)
-    taken = (ball ^ _cylinder_y(joint + sizes.gap, 2 * wide, sizes)) + _corners(
-        (-wide, wide), 2 * wide, (-sizes.socket, wide)
-    )
-    if root != "foot":
-        return taken - _corners((-2 * wide, 2 * wide), sizes.tang, (-2 * wide, 2 * wide))
-    neck = _cylinder_y(NECK * joint + sizes.gap, 2 * wide, sizes)
-    return (taken + neck).trim_by_plane((0, -1, 0), sizes.tang / 2)
+    lugs = ball ^ _cylinder_y(joint + sizes.gap, 2 * wide, sizes)
+    above = _corners((-wide, wide), 2 * wide, (-sizes.socket, wide))
+    if root == "foot":  # it has a lug on one side only
+        neck = _cylinder_y(NECK * joint + sizes.gap, 2 * wide, sizes)
+        return (lugs + above + neck).trim_by_plane((0, -1, 0), sizes.tang / 2)
+    return (lugs - _corners((-wide, wide), sizes.tang, (-wide, wide))) + above
 
 
-def _swept(start: float, width: float) -> Manifold:
-    """Return what a finger at angle 0 needs of the palm, from `start` mm below its pin, to swing inward."""
-    reach = SIZES.radius + SIZES.gap
-    along = (
-        CrossSection.circle(reach, SIZES.segments)
-        .extrude(3 * SIZES.radius)
-        .translate((0, 0, -start - 3 * SIZES.radius))
-    )
+def _swept() -> Manifold:
+    """Return what a finger at angle 0 needs of the palm to swing inward."""
+    reach, far, start = SIZES.radius + SIZES.gap, 3 * SIZES.radius, SIZES.socket - SIZES.gap
+    shaft = _cylinder(reach, -start - far, -start)
     swing = np.linspace(PALM.swing[0] - MARGIN, 0, 5)
-    turned = [along.rotate((0, -math.degrees(angle), 0)) for angle in swing]
-    hull = Manifold.batch_hull(turned).translate((PALM.radius, 0, 0))
-    return hull ^ _corners((-_FAR, _FAR), width, (-_FAR, _FAR))
+    turned = [shaft.rotate((0, -math.degrees(angle), 0)) for angle in swing]
+    return Manifold.batch_hull(turned).translate((PALM.radius, 0, 0))
 
 
 def _mount(joint: float) -> Manifold:
@@ -280,10 +279,9 @@ def _mount(joint: float) -> Manifold:
     return _disc(joint, 2 * SIZES.half_width, SIZES).translate((PALM.radius, 0, 0))
 
 
-def _slot_of_mount() -> Manifold:
-    """Return what the tang of a finger at angle 0, and what is as thick as it, need of the palm."""
-    tang = _cylinder_y(SIZES.radius + SIZES.gap, _slot(SIZES), SIZES).translate((PALM.radius, 0, 0))
-    return tang + _swept(0.0, _slot(SIZES))
+def _slot_of_mount(joint: float) -> Manifold:
+    """Return what the tang of a finger at angle 0 needs of the palm."""
+    return _cylinder_y(joint + SIZES.gap, _slot(SIZES), SIZES).translate((PALM.radius, 0, 0))
 
 
 def _bolts(sizes: PalmSizes) -> list[Manifold]:

@@ -10,7 +10,7 @@ from morph_core.tasks.hand import Hand
 from morph_core.tasks.printed import link_inertial, palm_inertial
 from morph_core.tasks.simulation import SUBSTEPS
 from studio.robots import bolted, geometry
-from studio.robots.geometry import SIZES
+from studio.robots.geometry import PALM, SIZES
 from studio.robots.parts import MILLIMETRE, Part, parts_of
 from studio.robots.robot import Bought, Program
 from studio.robots.units import speeds_of, units_of
@@ -35,11 +35,14 @@ class HandRobot:
         self.task.check_buildable(phi)
         angles, lengths = self.hand.base_angles + phi[: self.hand.fingers], phi[self.hand.fingers :]
         joints = [SIZES.joint(float(length) / MILLIMETRE) for length in lengths]
-        drawn = {"palm": geometry.palm(tuple(angles.tolist()), tuple(joints), self.hand.servo)}
+        most = SIZES.radius if self.hand.servo == "none" else PALM.servo_joint
+        shoulders = [min(joint, most) for joint in joints]
+        drawn = {"palm": geometry.palm(tuple(angles.tolist()), tuple(shoulders), self.hand.servo)}
         masses = {"palm": palm_inertial(angles, self.hand.servo).mass}
-        for i, (length, joint) in enumerate(zip(lengths.tolist(), joints, strict=True), start=1):
-            for kind, root in (("proximal", "palm"), ("distal", "link")):
-                drawn[f"finger_{i}_{kind}"] = geometry.link(kind, length / MILLIMETRE, joint, joint, root)
+        for i, length in enumerate(lengths.tolist(), start=1):
+            joint = joints[i - 1]
+            for kind, root, start in (("proximal", "palm", shoulders[i - 1]), ("distal", "link", joint)):
+                drawn[f"finger_{i}_{kind}"] = geometry.link(kind, length / MILLIMETRE, start, joint, root)
                 masses[f"finger_{i}_{kind}"] = link_inertial(kind, length).mass
         return parts_of(drawn, masses)
 

@@ -40,6 +40,7 @@ def whole(drilled: Drilled) -> None:
 @example(length=0.075)
 @example(length=0.12)
 @example(length=0.4)
+@settings(max_examples=10)
 def test_a_fingers_link_of_any_length_is_one_watertight_body(length: float) -> None:
     joint = SIZES.joint(1e3 * length)
     whole(geometry.link("proximal", 1e3 * length, joint, joint, "palm"))
@@ -50,7 +51,7 @@ def test_a_fingers_link_of_any_length_is_one_watertight_body(length: float) -> N
 @example(length=0.05, ends=(1.0, 1.0))
 @example(length=0.31, ends=(0.0, 1.0))
 @example(length=5.0, ends=(1.0, 1.0))
-@settings(max_examples=20)
+@settings(max_examples=5)
 def test_a_link_of_the_arm_of_any_length_is_one_watertight_body(length: float, ends: tuple[float, float]) -> None:
     largest = ARM.joint(1e3 * length)
     start, end = (ARM.joint_radius + share * (largest - ARM.joint_radius) for share in ends)
@@ -59,9 +60,8 @@ def test_a_link_of_the_arm_of_any_length_is_one_watertight_body(length: float, e
     whole(geometry.arm_base(start))
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_a_long_link_is_a_shorter_one_with_a_longer_shaft(task: str) -> None:
-    sizes: Sizes = ARM if task == "reacher" else SIZES
+@pytest.mark.parametrize("sizes", [SIZES, ARM])
+def test_a_long_link_is_a_shorter_one_with_a_longer_shaft(sizes: Sizes) -> None:
     for kind, root in (("proximal", "palm"), ("proximal", "link"), ("distal", "link")):
         joint, length = sizes.radius, 1.3 * sizes.stretched
         stretched = geometry.link(kind, length, joint, joint, root, sizes).solid
@@ -73,12 +73,13 @@ def test_a_long_link_is_a_shorter_one_with_a_longer_shaft(task: str) -> None:
 @given(angles=st.lists(st.floats(-math.pi, math.pi), min_size=1, max_size=5), short=st.booleans())
 @example(angles=[0.0, 2 * math.asin(hand.FINGER_RADIUS / hand.PALM_RADIUS)], short=False)
 @example(angles=[0.0, 2 * math.asin(hand.SPACING["mg90s"] / 2 / hand.PALM_RADIUS), -math.pi / 4, math.pi], short=True)
-@settings(max_examples=20)
+@settings(max_examples=10)
 def test_a_palm_that_can_be_assembled_is_one_watertight_body(servo: Servo, angles: list[float], short: bool) -> None:
     pins = hand.PALM_RADIUS * np.exp(1j * np.array(angles))
     apart = np.abs(pins[:, None] - pins)[np.triu_indices(len(angles), 1)]
     if (apart >= hand.SPACING[servo] - 1e-12).all():
-        joint = SIZES.joint(20.0) if short else SIZES.radius
+        widest = SIZES.radius if servo == "none" else PALM.servo_joint
+        joint = SIZES.joint(20.0) if short else widest
         whole(geometry.palm(tuple(angles), (joint,) * len(angles), servo))
 
 
@@ -99,7 +100,7 @@ def test_a_servos_pocket_has_a_floor_above_the_finger_that_swings_below_it() -> 
     floor = Manifold.cube((across, along, 1.0)).translate(
         (PALM.servo_radius - across / 2, -along / 2, PALM.high - deep - 1)
     )
-    palm = geometry.palm((0.0,), (SIZES.radius,), "mg90s").solid
+    palm = geometry.palm((0.0,), (PALM.servo_joint,), "mg90s").solid
     assert (floor - palm - geometry.pocket()).volume() < 1e-9
 
 
@@ -153,7 +154,7 @@ def measured(task: Task, phi: np.ndarray, qpos: np.ndarray | None = None, points
 @pytest.mark.parametrize("name", TASKS)
 def test_prints_are_within_a_millimetre_of_the_collision_shapes(name: str) -> None:
     task = built(name)
-    found = measured(task, task.design_space.initial, points=1500)
+    found = measured(task, task.design_space.initial, points=500)
     assert found.outside_max <= PROMISED
     assert found.inside_max <= PROMISED
     assert 0 < found.crotch_share < 0.2
@@ -188,7 +189,7 @@ def test_sizes_are_those_of_the_simulation() -> None:
     """They are drawn from the same numbers; here it is said what these are."""
     assert SIZES.radius == 15
     assert ARM.radius == 60
-    assert (PALM.radius, PALM.low, PALM.high) == (60, 3, 27)
+    assert (PALM.radius, PALM.low, PALM.high) == pytest.approx((60, 3, 27))
 
 
 def test_moments_of_a_box_are_those_of_the_textbook() -> None:
