@@ -43,6 +43,17 @@ class Deviation:
     crotch_share: float
     """What share of the shapes' surface that is (no unit)."""
 
+    @property
+    def words(self) -> str:
+        """The distances as a paragraph."""
+        return (
+            f"The prints follow the collision shapes: they reach out of them by at most {self.outside_max:.2f} mm, "
+            f"and the shapes' surface is at most {self.inside_max:.2f} mm from them, {self.inside_95:.2f} mm for 95 % "
+            f"of it. Left out are the crotches of the joints, {self.crotch_share:.0%} of the surface and up to "
+            f"{self.crotch_max:.1f} mm away: there two shapes are in one place when the joint folds, as two prints "
+            "can't be. Holes count as filled by their pins, bolts and servos."
+        )
+
 
 @dataclass(frozen=True)
 class _Shape:
