@@ -42,7 +42,7 @@ def bill_of_materials(
             quantity=part.quantity,
             links=" ".join(part.links),
             file=part.stl_path,
-            material="PLA, infill 100%",
+            material=f"PLA, infill {part.infill:.0%}",
             mass=part.inertial.mass,
             size=" x ".join(f"{side:.1f}" for side in part.size),
             note=note_of(prints, part.name) if prints else "",

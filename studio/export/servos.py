@@ -131,7 +131,7 @@ def servo_table(
     `others` are needs of joints that no servo moves.
     """
     rows: dict[ServoName, list[Row]] = {name: [_row(need, sheet) for need in needs] for name, sheet in SERVOS.items()}
-    enough = {name: sum(not row.faults for row in found) for name, found in rows.items()}
+    enough: dict[ServoName, int] = {name: sum(not row.faults for row in found) for name, found in rows.items()}
     if wanted is not None:
         servo, chosen = wanted, "as asked"
     elif limits != "none":
