@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
+import msgspec
 import viser
 
 from morph_core.history import History
@@ -9,7 +10,7 @@ from morph_core.tasks.servos import SERVOS
 from studio.export.bundle import ALL_FORMATS, OPTIONAL_FORMATS, Bundle
 from studio.export.design_file import DESIGN_TYPES
 from studio.export.ros import FOLDER
-from studio.export.servos import takes_servos
+from studio.export.servos import FILE, ServoTable, takes_servos, verdict
 from studio.viewer import wording
 
 BY_NEED = "by need"
@@ -158,6 +159,10 @@ class ExportPanel:
         if policy:
             lines.append(("✓ policy and its program", wording.size(sum(policy))))
         agreed = f'<span style="color:{wording.GREEN};font-weight:600">✓ {len(bundle.checks)} comparisons agree</span>'
+        if FILE in bundle.files:
+            table = msgspec.json.decode(bundle.files[FILE], type=ServoTable)
+            colour = wording.GREEN if table.suffices else wording.RED
+            agreed += f'<br><span style="color:{colour}">{verdict(table)}</span>'
         hint = wording.dim("watch the .mjz: drop it on live.mujoco.org") if self.formats["mjcf"].value else ""
         self.result.content = wording.rows(lines) + wording.paragraph(f"{agreed}<br>{hint}")
         self.result.visible = True

@@ -86,6 +86,16 @@ def test_full_torque_at_full_speed_is_more_than_a_servo_has() -> None:
         assert row.faults == faults
 
 
+def test_a_peak_of_one_instant_is_a_fault_though_the_percentile_is_nothing() -> None:
+    sheet, once = SERVOS["XL430-W250"], np.eye(1, 200)[0]
+    for torque, speed, fault in (
+        (1.01 * sheet.stall_torque, 0, "peak torque"),
+        (0, 1.01 * sheet.no_load_speed, "peak speed"),
+    ):
+        (row,) = compared(Need("joint", False, torque * once, speed * once), wanted="XL430-W250").joints
+        assert (row.faults, row.torque_95, row.speed_95) == ([fault], 0, 0)
+
+
 def test_a_torque_above_the_rated_one_is_said_where_that_is_known() -> None:
     (row,) = compared(need(0.3, 0), wanted="XL430-W250").joints  # rated 0.28 N m
     assert row.above_rated
