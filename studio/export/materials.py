@@ -41,7 +41,7 @@ def bill_of_materials(robot: Robot, phi: np.ndarray, parts: Sequence[Part], serv
             quantity=part.quantity,
             links=" ".join(part.links),
             file=part.stl_path,
-            material="PLA, infill 100%",
+            material=f"PLA, infill {part.infill:.0%}",
             mass=part.inertial.mass,
             size=" x ".join(f"{side:.1f}" for side in part.size),
             note="longer than common printers: print it in pieces" if part.size.max() > LONGEST else "",

@@ -211,8 +211,8 @@ def test_a_bill_of_materials_has_servos_screws_pins_tendon_prints_and_totals() -
     assert [servo[key] for key in ("quantity", "mass_g_each", "mass_g", "size_mm", "price_usd_each", "price_usd")] == [
         "8", "82.00", "656.00", "28.5 x 46.5 x 34", "270-310", "2160-2480",
     ]  # fmt: skip
-    pin = rows["dowel pin 4 x 22 mm"]  # of steel, 7850 kg/m^3
-    assert (pin["quantity"], pin["mass_g_each"]) == ("8", "2.17")
+    pin = rows["dowel pin 4 x 28 mm"]  # of steel, 7850 kg/m^3
+    assert (pin["quantity"], pin["mass_g_each"]) == ("8", "2.76")
     assert rows["set of mounting screws"]["quantity"] == "8"
     assert "at least 1.92 m" in rows["tendon"]["note"]  # twice 4 x (.06 + .06 + .12) m
     assert "servo or tendon drive" not in rows
