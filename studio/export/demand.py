@@ -17,11 +17,11 @@ class Recorder:
     """The speeds and forces of all simulations at every step of the physics."""
 
     speeds: list[np.ndarray] = field(default_factory=list)
-    """Of each step: the joints' speeds (N, nv), in m/s or rad/s."""
+    """Speeds of the joints (N, nv) at the start of each step, in m/s or rad/s."""
     forces: list[np.ndarray] = field(default_factory=list)
-    """Of each step: the forces of the actuators (N, nu), in N or N m."""
+    """Forces of the actuators (N, nu) in each step, in N or N m."""
     kept: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    """(N,): the episodes that count, which are those that did not diverge."""
+    """Episodes (N,) that count, which are those that did not diverge."""
 
     def __call__(self, speeds: np.ndarray, forces: np.ndarray) -> None:
         self.speeds.append(speeds)

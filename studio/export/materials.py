@@ -23,7 +23,7 @@ class Line(msgspec.Struct, frozen=True):
     file: str = ""
     material: str = ""
     mass: float | None = None
-    """kg each; None where it is not known."""
+    """Mass of each in kg; None where it is not known."""
     size: str = ""
     """Size in mm."""
     price: tuple[float, float] | None = None

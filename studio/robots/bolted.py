@@ -24,10 +24,10 @@ def joints_of(parts: Sequence[Part]) -> int:
 
 def pins(parts: Sequence[Part], sizes: Sizes = SIZES) -> Bought:
     """Return the pins of links of these sizes."""
-    pin, length = sizes.pin_diameter, sizes.pin_length
-    mass = STEEL * math.pi / 4 * pin**2 * length * MILLIMETRE**3
+    mass = STEEL * math.pi / 4 * sizes.pin_diameter**2 * sizes.pin_length * MILLIMETRE**3
+    name = f"dowel pin {sizes.pin_diameter:g} x {sizes.pin_length:g} mm"
     note = "press into the lugs; not in the masses that were simulated"
-    return Bought(f"dowel pin {pin:g} x {length:g} mm", joints_of(parts), material="steel", mass=mass, note=note)
+    return Bought(name, joints_of(parts), material="steel", mass=mass, note=note)
 
 
 def drives(parts: Sequence[Part]) -> Bought:

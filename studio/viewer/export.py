@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
+import msgspec
 import viser
 
 from morph_core.history import History
@@ -11,7 +12,7 @@ from studio.export.design_file import DESIGN_TYPES
 from studio.export.printers import CHOICES as PRINTERS
 from studio.export.printers import DEFAULT
 from studio.export.ros import FOLDER
-from studio.export.servos import takes_servos
+from studio.export.servos import FILE, ServoTable, takes_servos, verdict
 from studio.viewer import wording
 
 BY_NEED = "by need"
@@ -169,6 +170,10 @@ class ExportPanel:
         if policy:
             lines.append(("✓ policy and its program", wording.size(sum(policy))))
         agreed = f'<span style="color:{wording.GREEN};font-weight:600">✓ {len(bundle.checks)} comparisons agree</span>'
+        if FILE in bundle.files:
+            table = msgspec.json.decode(bundle.files[FILE], type=ServoTable)
+            colour = wording.GREEN if table.suffices else wording.RED
+            agreed += f'<br><span style="color:{colour}">{verdict(table)}</span>'
         hint = wording.dim("watch the .mjz: drop it on live.mujoco.org") if self.formats["mjcf"].value else ""
         self.result.content = wording.rows(lines) + wording.paragraph(f"{agreed}<br>{hint}")
         self.result.visible = True

@@ -86,6 +86,16 @@ def test_full_torque_at_full_speed_is_more_than_a_servo_has() -> None:
         assert row.faults == faults
 
 
+def test_a_peak_of_one_instant_is_a_fault_though_the_percentile_is_nothing() -> None:
+    sheet, once = SERVOS["XL430-W250"], np.eye(1, 200)[0]
+    for torque, speed, fault in (
+        (1.01 * sheet.stall_torque, 0, "peak torque"),
+        (0, 1.01 * sheet.no_load_speed, "peak speed"),
+    ):
+        (row,) = compared(Need("joint", False, torque * once, speed * once), wanted="XL430-W250").joints
+        assert (row.faults, row.torque_95, row.speed_95) == ([fault], 0, 0)
+
+
 def test_a_torque_above_the_rated_one_is_said_where_that_is_known() -> None:
     (row,) = compared(need(0.3, 0), wanted="XL430-W250").joints  # rated 0.28 N m
     assert row.above_rated
@@ -201,8 +211,8 @@ def test_a_bill_of_materials_has_servos_screws_pins_tendon_prints_and_totals() -
     assert [servo[key] for key in ("quantity", "mass_g_each", "mass_g", "size_mm", "price_usd_each", "price_usd")] == [
         "8", "82.00", "656.00", "28.5 x 46.5 x 34", "270-310", "2160-2480",
     ]  # fmt: skip
-    pin = rows["dowel pin 4 x 22 mm"]  # of steel, 7850 kg/m^3
-    assert (pin["quantity"], pin["mass_g_each"]) == ("8", "2.17")
+    pin = rows["dowel pin 4 x 28 mm"]  # of steel, 7850 kg/m^3
+    assert (pin["quantity"], pin["mass_g_each"]) == ("8", "2.76")
     assert rows["set of mounting screws"]["quantity"] == "8"
     assert "at least 1.92 m" in rows["tendon"]["note"]  # twice 4 x (.06 + .06 + .12) m
     assert "servo or tendon drive" not in rows
