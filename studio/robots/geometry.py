@@ -267,6 +267,7 @@ def _socket(joint: float, root: Root, sizes: Sizes) -> Manifold:
     return (lugs - _corners((-wide, wide), sizes.tang, (-wide, wide))) + above
 
 
+@lru_cache(_LINKS)
 def _swept() -> Manifold:
     """Return what a finger at angle 0 needs of the palm to swing inward."""
     reach, far, start = SIZES.radius + SIZES.gap, 3 * SIZES.radius, SIZES.socket - SIZES.gap
@@ -276,11 +277,13 @@ def _swept() -> Manifold:
     return Manifold.batch_hull(turned).translate((PALM.radius, 0, 0))
 
 
+@lru_cache(_LINKS)
 def _mount(joint: float) -> Manifold:
     """Return what carries the pin of a finger at angle 0, without its slot."""
     return _disc(joint, 2 * SIZES.half_width, SIZES).translate((PALM.radius, 0, 0))
 
 
+@lru_cache(_LINKS)
 def _slot_of_mount(joint: float) -> Manifold:
     """Return what the tang of a finger at angle 0 needs of the palm."""
     return _cylinder_y(joint + SIZES.gap, _slot(SIZES), SIZES).translate((PALM.radius, 0, 0))
@@ -296,6 +299,7 @@ def _bolts(sizes: PalmSizes) -> list[Manifold]:
     return [cables, *(bolt.translate((sizes.bolt_circle / 2, 0, 0)).rotate((0, 0, 45 + 90 * i)) for i in range(4))]
 
 
+@lru_cache(_LINKS)
 def pocket() -> Manifold:
     """Return the holes for a servo, its screws and its tendon, for a finger at angle 0."""
     top, radius = PALM.high, PALM.servo_radius
