@@ -152,7 +152,7 @@ def test_other_formats_are_refused_with_the_list(history: History, formats: list
 
 def test_a_printer_that_is_asked_for_must_hold_every_part(history: History) -> None:
     with pytest.raises(
-        ExportError, match=r"link_1 is \d+ x 55 x 30 mm .* printers that are large enough: none of the t"
+        ExportError, match=r"link_1 is \d+ x 119 x 119 mm .* printers that are large enough: none of the t"
     ):
         build_bundle(history, "best", ["3mf"], printer="prusa_xl")
     with pytest.raises(ExportError, match=r"base is \d+ x \d+ x \d+ mm .* large enough: bambu_x1c.*, prusa_xl"):
