@@ -291,8 +291,9 @@ def _readme(
         "ros2_control": "         each servo has a transmission and a ros2_control interface, of mock hardware as yet",
         "stl": printed if robot.printed else shapes,
         "3mf": "         3mf/*.3mf (mm), each part as often as it is needed, on its widest side; plates/*.3mf, all of\n"
-        "         them laid out on a printer, plates/*.svg, what that looks like, and plates/*.csv, what was\n"
-        "         measured; print pin_coupon first: its bores have 0, 0.1 ... 0.4 mm play for a pin",
+        "         them laid out on a printer; plates/*.svg shows that, plates/*.csv is what was measured"
+        + "\n         print pin_coupon first: its bores have 0, 0.1 ... 0.4 mm play for a pin"
+        * robot.printed,
         "glb": "Look:    assembly.glb (m)",
         "step": "CAD:     step/*.step (mm), plane faces",
     }

@@ -11,8 +11,8 @@ from studio.export.pieces import LAYER, solid_of
 from studio.robots import geometry
 from studio.robots.parts import MILLIMETRE, Part, link_names
 
-THINNEST = 0.8
-"""Least thickness of a wall (mm) that is printed soundly: two lines of a 0.4 mm nozzle."""
+THINNEST = 0.4
+"""Least thickness of a wall (mm) that is printed: one line of a 0.4 mm nozzle."""
 STEEP = 45.0
 """Angle from the upright (degrees) up to which a side is printed without support."""
 PARALLEL = 15.0

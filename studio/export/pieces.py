@@ -16,7 +16,7 @@ LAYER = 0.2
 """Height above the bed (mm) at which the first layer is measured."""
 MOST_PIECES = 4
 """Largest number of pieces of a part: a link of more would bend at its joints."""
-SLENDER = 3.0
+SLENDER = 2.0
 """Least ratio of a part's length to its width with which it is cut across its length."""
 DOWELS = ((12.0, 60.0), (10.0, 50.0), (8.0, 40.0), (6.0, 30.0), (4.0, 20.0), (3.0, 16.0))
 """Diameter and length (mm) of the dowel pins (ISO 2338) that join pieces, the stoutest first."""
@@ -133,7 +133,7 @@ def _too_large(name: str, size: np.ndarray, printer: Printer) -> str:
     longest = printer.longest(width)
     if length < SLENDER * max(width, height) or longest == 0.0:
         wide, deep = (math.ceil(side + 2 * BORDER) for side in (length, width))
-        return f"{said}, and it is too wide to be cut: a bed of {wide} x {deep} mm or more is needed"
+        return f"{said}, and it is not slender enough to be cut: a bed of {wide} x {deep} mm or more is needed"
     return (
         f"{said}: {longest:.0f} mm of length are allowed in one piece, {MOST_PIECES * longest:.0f} mm in {MOST_PIECES}"
     )

@@ -302,7 +302,7 @@ def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjMod
         checks.append(check)
     pieces = [surface for path, surface in surfaces.items() if path not in (stl, three_mf)]
     if pieces and printed:
-        missing = 1 - sum(moments(*piece).inertial().mass for piece in pieces) / part.mass
+        missing = 1 - sum(moments(*piece).inertial(part.density).mass for piece in pieces) / part.mass
         checks.append(Check(f"{three_mf}: mass that its pieces miss", abs(missing), DOWELS_ALLOWED))
     for path, surface in surfaces.items():
         checks.append(_check_solid(path, surface, one_body=printed))
@@ -310,9 +310,8 @@ def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjMod
             continue
         for link in part.links:
             if link != BASE:
-                checks += (
-                    _check_mass(path, surface, part.density, model, link) if printed and path in (stl, three_mf) else []
-                )
+                whole = path in (stl, three_mf)
+                checks += _check_mass(path, surface, part.density, model, link) if printed and whole else []
                 checks += _check_enclosed(path, surface, model, link)
     return checks
 

@@ -57,8 +57,10 @@ def corner(task: Task, length: float) -> np.ndarray:
 
 
 def link(name: str, length: float) -> Part:
-    """Return a finger's outer link of a length in mm."""
-    return Part(name, (name,), *geometry.mesh(geometry.link("distal", length)))
+    """Return one finger's outer link of a length in mm."""
+    task = make_task("pen_press")
+    [drawn] = [p for p in robot_of(task).parts(corner(task, length / 1e3)) if p.name == "finger_1_distal"]
+    return Part(name, (name,), drawn.vertices, drawn.faces)
 
 
 def block(size: tuple[float, float, float], copies: int = 1) -> Part:
@@ -151,8 +153,8 @@ def test_an_upright_finger_is_laid_down_by_the_transform_and_its_mesh_stays_in_t
     files = print_files(plan_prints([part], DEFAULT))
     scene = trimesh.load_scene(io.BytesIO(files["3mf/finger.3mf"]), file_type="3mf")
     np.testing.assert_allclose(scene.geometry["finger"].bounds, [part.vertices.min(0), part.vertices.max(0)])
-    assert piece.first_layer > 1900  # mm^2; upright it stood on 8
-    np.testing.assert_allclose(piece.size, [140.5, 22.0, 12.0], atol=0.1)
+    assert piece.first_layer > 1000  # mm^2; upright it would stand on its round tip
+    np.testing.assert_allclose(piece.size, [150.0, 29.2, 29.2], atol=0.1)
 
 
 def test_copies_fill_a_plate_before_the_next_one_is_begun() -> None:
@@ -169,39 +171,39 @@ def test_a_link_that_is_too_long_is_cut_and_dowelled() -> None:
     part = link("finger", 400.0)
     made = pieces_of(part, DEFAULT)
     assert [piece.name for piece in made.pieces] == ["finger_1of2", "finger_2of2"]
-    assert made.dowel == (4.0, 20.0)
+    assert made.dowel == (8.0, 40.0)
     whole, (one, other) = solid_of(part), (piece.solid for piece in made.pieces)
     assert (one ^ other).volume() == pytest.approx(0, abs=1e-9)
     holes = whole - one - other
     assert len(holes.decompose()) == 2
     for hole in holes.decompose():
-        assert hole.volume() == pytest.approx(math.pi * 2.1**2 * 21.0, rel=0.01)
+        assert hole.volume() == pytest.approx(math.pi * 4.1**2 * 41.0, rel=0.01)
         middle = np.array(hole.bounding_box()).reshape(2, 3).mean(0)
-        dowel = Manifold.cylinder(20.0, 2.0, circular_segments=48).translate((middle[0], middle[1], middle[2] - 10.0))
+        dowel = Manifold.cylinder(40.0, 4.0, circular_segments=48, center=True).translate(middle)
         assert (dowel ^ (one + other)).volume() == pytest.approx(0, abs=1e-9)
-        around = Manifold.cylinder(21.0, 2.1 + 2.9, circular_segments=48)
-        assert (around.translate((middle[0], middle[1], middle[2] - 10.5)) - whole).volume() < 1e-6  # material round it
+        around = Manifold.cylinder(41.0, 4.1 + 2.9, circular_segments=48, center=True)
+        assert (around.translate(middle) - whole).volume() < 1e-6  # material round it
     np.testing.assert_allclose([piece.size[0] for piece in made.pieces], part.size[2] / 2)
 
 
 def test_a_link_lies_across_the_bed_before_it_is_cut() -> None:
     room = DEFAULT.room[0]
-    assert DEFAULT.longest(22.0) == pytest.approx(math.sqrt(2) * room - 22.0, rel=1e-3)
-    assert len(pieces_of(link("finger", 290.0), DEFAULT).pieces) == 1
-    assert len(pieces_of(link("finger", 310.0), DEFAULT).pieces) == 2
+    assert DEFAULT.longest(29.2) == pytest.approx(math.sqrt(2) * room - 29.2, rel=1e-3)
+    assert len(pieces_of(link("finger", 275.0), DEFAULT).pieces) == 1
+    assert len(pieces_of(link("finger", 290.0), DEFAULT).pieces) == 2
 
 
 def test_more_pieces_than_hold_together_are_refused_with_the_length_and_what_is_allowed() -> None:
     task = make_task("reacher")
     prints = prints_of(task, np.array([3.0, 0.2, 0.2, 0.2, 0.2]))
     assert list(prints.problems) == ["link_1"]
-    assert prints.problems["link_1"].startswith("link_1 is 30")
+    assert prints.problems["link_1"].startswith("link_1 is 3")
     assert "mm of length are allowed in one piece" in prints.problems["link_1"]
     assert "link_1" not in {item.piece.part for plate in prints.plates for item in plate.items}
     files = print_files(prints)
     [(_, body)] = bodies_of(files["3mf/link_1.3mf"])  # whole, and lying
     assert min(body.bounding_box()[:3]) > -1e-9
-    assert body.bounding_box()[5] < 40.0
+    assert body.bounding_box()[5] < 125.0
     rows = {row["piece"]: row for row in csv.DictReader(io.StringIO(files[PIECES].decode()))}
     assert rows["link_1"]["problem"] == prints.problems["link_1"]
     assert note_of(prints, "link_1") == prints.problems["link_1"]
@@ -209,9 +211,10 @@ def test_more_pieces_than_hold_together_are_refused_with_the_length_and_what_is_
 
 
 def test_a_palm_is_not_cut() -> None:
-    part = Part("palm", ("palm",), *geometry.mesh(geometry.palm((0.0, 2.0, 4.0))))
+    task = make_task("pen_press")
+    part = robot_of(task).parts(task.design_space.initial)[0]
     with pytest.raises(
-        ValueError, match=r"palm is 126 x 124 x 33 mm as it lies, .* a bed of 142 x 141 mm or more is ne"
+        ValueError, match=r"palm is 149 x 149 x 41 mm as it lies, .* a bed of 165 x 165 mm or more is ne"
     ):
         pieces_of(part, Printer("120x120x120", (120.0, 120.0, 120.0)))
     with pytest.raises(ValueError, match="20 mm of height are allowed"):
@@ -223,7 +226,7 @@ def test_dowels_are_bought() -> None:
     prints = prints_of(task, corner(task, 0.4))
     fingers = len(task.design_space.parameters) // 2
     [line] = dowels_bought(prints)
-    assert line[:2] == ["dowel pin 4 x 20 mm", 2 * 2 * fingers]
+    assert line[:2] == ["dowel pin 8 x 40 mm", 2 * 2 * fingers]
     assert "2 pieces, with 2 dowels" in note_of(prints, "finger_1_distal")
     assert note_of(prints, "palm") == ""
 
@@ -303,8 +306,8 @@ def test_the_thinnest_wall_of_a_box_with_a_pocket_is_the_one_beside_the_pocket()
 
 
 def test_a_wall_that_is_too_thin_is_a_problem() -> None:
-    prints = plan_prints([block((30.0, 20.0, 0.5))], DEFAULT)
-    assert prints.problems == {"block": "block has a wall of 0.5 mm: 0.8 mm or more are allowed"}
+    prints = plan_prints([block((30.0, 20.0, 0.3))], DEFAULT)
+    assert prints.problems == {"block": "block has a wall of 0.3 mm: 0.4 mm or more are allowed"}
     assert prints.plates == []
 
 
@@ -328,16 +331,16 @@ def test_the_bore_is_as_wide_as_the_pin_that_fits_between_its_facets() -> None:
     assert bore(vertices, faces, np.zeros(3), np.array([1.0, 0, 0])) == 0.0
 
 
-@pytest.mark.parametrize(("name", "scale"), [("pen_press", 1.0), ("reacher", 2.5)])
-def test_pins_play_in_the_link_that_turns_and_links_clear_each_other(name: str, scale: float) -> None:
+@pytest.mark.parametrize(("name", "pin"), [("pen_press", 4.0), ("reacher", 10.0)])
+def test_pins_play_in_the_link_that_turns_and_links_clear_each_other(name: str, pin: float) -> None:
     task = make_task(name)
     phi = task.design_space.initial
     fits = fits_of(task.spec(phi).compile(), robot_of(task).parts(phi))
     assert fits
     for fit in fits:
-        assert fit.bores == pytest.approx((4.0 * scale, 4.2 * scale), abs=4e-3)  # the arm's foot is turned in 3 degrees
-        assert fit.play == pytest.approx(0.2 * scale, abs=4e-3)
-        assert fit.gap == pytest.approx(0.3 * scale, abs=1e-3)
+        assert fit.bores == pytest.approx((pin, pin + 0.2), abs=1e-6)
+        assert fit.play == pytest.approx(0.2, abs=1e-6)
+        assert fit.gap == pytest.approx(0.3, abs=3e-3)  # between facets
 
 
 @pytest.mark.parametrize("pin", [4.0, 10.0])

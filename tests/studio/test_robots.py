@@ -140,7 +140,8 @@ def test_a_task_has_the_robot_of_its_kind_whatever_it_is_called() -> None:
 
 def test_a_foreign_task_exports_every_format(bundle: Bundle) -> None:
     links = ("base", "rod_1", "rod_2")
-    plates = {"plates/plate_1.3mf", "plates/plate_1.svg", "plates/pieces.csv"}
+    plates = {path for path in bundle.files if path.startswith("plates/")}
+    assert {"plates/plate_1.3mf", "plates/plate_1.svg", "plates/pieces.csv"} <= plates
     assert set(bundle.files) - plates == {
         "robot.xml", "robot.mjz", "scene.xml", "robot.urdf", "control.json", "assembly.glb", "policy.npz",
         "policy.onnx", "policy.py", "run_policy.py", "design.json", "provenance.json", "report.html", "LICENSE",
@@ -150,6 +151,7 @@ def test_a_foreign_task_exports_every_format(bundle: Bundle) -> None:
     provenance = json.loads(bundle.files["provenance.json"])
     assert provenance["policy"][0]["where"] == "at export"
     assert "stand in for parts" in bundle.files["README.txt"].decode()
+    assert "coupon" not in bundle.files["README.txt"].decode()
     assert "PLA" not in bundle.files["report.html"].decode()
 
 
