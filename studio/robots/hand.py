@@ -51,11 +51,12 @@ class HandRobot:
         shoulders = [min(joint, most) for joint in joints]
         drawn = {"palm": geometry.palm(tuple(angles.tolist()), tuple(shoulders), self.hand.servo)}
         masses = {"palm": palm_inertial(angles, self.hand.servo).mass}
-        for i, length in enumerate(lengths.tolist(), start=1):
-            joint = joints[i - 1]
-            for kind, root, start in (("proximal", "palm", shoulders[i - 1]), ("distal", "link", joint)):
-                drawn[f"finger_{i}_{kind}"] = geometry.link(kind, length / MILLIMETRE, start, joint, root)
-                masses[f"finger_{i}_{kind}"] = link_inertial(kind, length).mass
+        for i, (length, shoulder, elbow) in enumerate(zip(lengths.tolist(), shoulders, joints, strict=True), start=1):
+            millimetres = length / MILLIMETRE
+            drawn[f"finger_{i}_proximal"] = geometry.link("proximal", millimetres, shoulder, elbow, "palm")
+            drawn[f"finger_{i}_distal"] = geometry.link("distal", millimetres, elbow, elbow, "link")
+            masses[f"finger_{i}_proximal"] = link_inertial("proximal", length).mass
+            masses[f"finger_{i}_distal"] = link_inertial("distal", length).mass
         return parts_of(drawn, masses)
 
     @property
