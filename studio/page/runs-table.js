@@ -1,6 +1,6 @@
 // The table of runs: its columns, and the keys by which it is used. Whatever people wrote is set as text, never as HTML.
 
-import { Tabulator } from "/page/vendor/tables.js";
+import { Tabulator } from "./vendor/tables.js";
 
 export function duration(seconds) {
   if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
@@ -81,7 +81,7 @@ function columns({ onStar, onOpen }, all) {
         const button = Object.assign(made("button", "open"), { type: "button", tabIndex: -1, title: "Open in the 3-D viewer" });
         const picture = Object.assign(made("img", "thumb"), { loading: "lazy", alt: `Open ${row.label} in the 3-D viewer`, width: 84, height: 63 });
         picture.addEventListener("error", () => button.remove());
-        picture.src = `/api/runs/${encodeURIComponent(row.id)}/thumbnail.png?design=best&of=${row.best?.iteration ?? 0}`;
+        picture.src = `api/runs/${encodeURIComponent(row.id)}/thumbnail.png?design=best&of=${row.best?.iteration ?? 0}`;
         button.append(picture);
         button.addEventListener("click", () => onOpen(row));
         return button;

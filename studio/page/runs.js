@@ -1,7 +1,7 @@
 // The runs page: every run of the folder, found again by search and filters, kept in order, and compared.
 
-import { Designs, Traces } from "/page/runs-charts.js";
-import { flat, made, makeTable, moveFocus, number, share } from "/page/runs-table.js";
+import { Designs, Traces } from "./runs-charts.js";
+import { flat, made, makeTable, moveFocus, number, share } from "./runs-table.js";
 
 const INTERVAL = 3000;
 const HIDDEN_INTERVAL = 15000;
@@ -11,7 +11,7 @@ const FILTERS = ["search", "status", "task", "method", "tag", "starred", "archiv
 const ALL = { status: "any state", task: "any task", method: "any method", tag: "any tag" };
 
 const find = (id) => document.getElementById(id);
-const address = (run, rest = "") => `/api/runs/${encodeURIComponent(run)}${rest}`;
+const address = (run, rest = "") => `api/runs/${encodeURIComponent(run)}${rest}`;
 const counted = (count, word = "run") => `${count} ${count === 1 ? word : `${word}s`}`;
 
 let table = null;
@@ -38,10 +38,10 @@ async function ask(path, method = "GET", body) {
 async function look() {
   try {
     const headers = version ? { "If-None-Match": version } : {};
-    const response = await fetch("/api/table", { cache: "no-store", headers, signal: AbortSignal.timeout(20000) });
+    const response = await fetch("api/table", { cache: "no-store", headers, signal: AbortSignal.timeout(20000) });
     if (response.status === 401) return say("The server was started anew: open the link it printed in its terminal.");
     if (response.status !== 304) {
-      if (!response.ok) throw new Error(`/api/table answered ${response.status}`);
+      if (!response.ok) throw new Error(`api/table answered ${response.status}`);
       version = response.headers.get("ETag");
       await show(await response.json());
     }
@@ -227,7 +227,7 @@ function archive(rows) {
 }
 
 async function restore(runs) {
-  const result = await each(runs, (run) => ask(`/api/trash/${encodeURIComponent(run)}/restore`, "POST"));
+  const result = await each(runs, (run) => ask(`api/trash/${encodeURIComponent(run)}/restore`, "POST"));
   report("Restored", result);
   return result;
 }
@@ -284,7 +284,7 @@ function edit(rows) {
 }
 
 async function listTrash() {
-  const trashed = await ask("/api/trash");
+  const trashed = await ask("api/trash");
   find("trash-list").replaceChildren(...trashed.map((one) => {
     const item = made("li"), name = made("span", "", one.id), button = Object.assign(made("button", "", "Restore"), { type: "button" });
     name.append(made("br"), made("small", "", `deleted ${new Date(one.deleted * 1000).toLocaleString()}`));
@@ -303,7 +303,7 @@ async function listTrash() {
 }
 
 function open(run, iteration) {
-  location.assign(`/?${new URLSearchParams(iteration === undefined ? { run } : { run, iteration })}`);
+  location.assign(`./?${new URLSearchParams(iteration === undefined ? { run } : { run, iteration })}`);
 }
 
 // --- the comparison --------------------------------------------------------------------------------------------------
@@ -312,7 +312,7 @@ async function compare(runs) {
   const number = ++drawing;
   try {
     const words = new URLSearchParams(runs.map((run) => ["run", run]));
-    const overlay = await ask(`/api/traces?${words}`);
+    const overlay = await ask(`api/traces?${words}`);
     if (number !== drawing) return;
     compared = { runs, overlay };
     find("comparison").hidden = false;
@@ -391,7 +391,7 @@ find("empty-trash").addEventListener("click", async () => {
     find("empty-trash").textContent = "Remove all for good?";
     return;
   }
-  await ask("/api/trash", "DELETE").catch((error) => (find("trash-why").textContent = error.message));
+  await ask("api/trash", "DELETE").catch((error) => (find("trash-why").textContent = error.message));
   await listTrash();
 });
 find("theme").addEventListener("click", () => {
