@@ -267,9 +267,7 @@ def _add_refusals(app: FastAPI) -> None:
 class _Server(uvicorn.Server):
     """A server that calls `on_started` once it is up, and `on_stop` before it waits for the last answers."""
 
-    def __init__(
-        self, config: uvicorn.Config, on_started: Callable[[], None], on_stop: Callable[[], None]
-    ) -> None:
+    def __init__(self, config: uvicorn.Config, on_started: Callable[[], None], on_stop: Callable[[], None]) -> None:
         super().__init__(config)
         self.on_started = on_started
         self.on_stop = on_stop

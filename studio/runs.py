@@ -149,7 +149,9 @@ class Runs:
                 continue
             with contextlib.suppress(RunFolderError):  # removed this very moment
                 lines.append(msgspec.structs.replace(self.summary(run_id), current=run_id == self.shown))
-        refused = sorted((name, why) for name, why in passed_over(self.folder).items() if names is None or name in names)
+        refused = sorted(
+            (name, why) for name, why in passed_over(self.folder).items() if names is None or name in names
+        )
         return lines + [Summary(id=name, status="unreadable", reason=why) for name, why in refused]
 
     def rows(self, names: Collection[str] | None = None) -> list[Row]:

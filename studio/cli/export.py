@@ -1,6 +1,5 @@
 """`morph-studio export`: write a design for simulators, printers and people; checked before it is written."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ import tyro
 
 from studio.cli.arguments import RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import check_design, open_run
+from studio.cli.output import complain, say
 
 DesignName = Annotated[str, tyro.conf.arg(metavar="best|latest|ITERATION")]
 
@@ -49,7 +49,7 @@ def main(words: Sequence[str]) -> int:
     try:
         written = write_bundle(build_bundle(history, arguments.design, arguments.formats), out)
     except ExportError as error:
-        print(f"morph-studio: export: {error}", file=sys.stderr)  # noqa: T201
+        complain(f"morph-studio: export: {error}")
         return 1
-    print(written)  # noqa: T201
+    say(written)
     return 0

@@ -98,6 +98,7 @@ addEventListener("looked", ({ detail: run }) => {
   showDeeds(run.status);
   showDesign(run).catch(() => (drawn = ""));
 });
+find("new").addEventListener("click", () => has3d || find("plain-task").focus());
 find("plain-which").addEventListener("change", () => {
   find("plain-export").href = runAddress(`/designs/${find("plain-which").value}/export`);
 });

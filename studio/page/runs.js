@@ -3,8 +3,10 @@
 import { Designs, Traces } from "./runs-charts.js";
 import { flat, made, makeTable, moveFocus, number, share } from "./runs-table.js";
 
-const INTERVAL = 3000;
+const INTERVAL = 2000;
 const HIDDEN_INTERVAL = 15000;
+const WAIT = 15; // seconds for which the server holds the question for news while there are none
+const MOST_ASKED = 100; // rows that are asked for one by one
 const TOLD = 12000;
 const MOST_COMPARED = 100;
 const FILTERS = ["search", "status", "task", "method", "tag", "starred", "archived"];
@@ -15,7 +17,8 @@ const address = (run, rest = "") => `api/runs/${encodeURIComponent(run)}${rest}`
 const counted = (count, word = "run") => `${count} ${count === 1 ? word : `${word}s`}`;
 
 let table = null;
-let version = null;
+let boot = null;
+let mark = null; // of the last news, by which the server knows what this page has
 let known = new Map(); // id -> the row as it came
 let undoLast = null;
 let hushing = 0;
@@ -35,25 +38,36 @@ async function ask(path, method = "GET", body) {
   return answer;
 }
 
-async function look() {
+async function look(wait = 0) {
   try {
-    const headers = version ? { "If-None-Match": version } : {};
-    const response = await fetch("api/table", { cache: "no-store", headers, signal: AbortSignal.timeout(20000) });
+    const words = new URLSearchParams(mark ? { wait, after: mark } : { wait });
+    const response = await fetch(`api/news?${words}`, { cache: "no-store", signal: AbortSignal.timeout(20000 + 1000 * wait) });
     if (response.status === 401) return say("The server was started anew: open the link it printed in its terminal.");
-    if (response.status !== 304) {
-      if (!response.ok) throw new Error(`api/table answered ${response.status}`);
-      version = response.headers.get("ETag");
-      await show(await response.json());
-    }
+    if (!response.ok) throw new Error(`api/news answered ${response.status}`);
+    const news = await response.json();
+    if (news.is_new || !table) await hear(news);
+    [boot, mark] = [news.boot, news.mark];
     return say("");
   } catch {
+    mark = null;
     return say("The server does not answer; trying again. Runs go on without it.");
   }
 }
 
+// Ask for the rows that have changed, or for all where that is shorter, and show the table as it is now.
+async function hear(news) {
+  const changed = news.runs.map((run) => run.id);
+  const some = news.boot === boot && mark !== null && changed.length < MOST_ASKED;
+  const words = new URLSearchParams(some ? changed.map((run) => ["run", run]) : []);
+  const rows = some && !changed.length ? [] : await ask(some ? `api/table?${words}` : "api/table");
+  const lines = new Map([...(some ? known : []), ...rows.map((row) => [row.id, row])]);
+  await show((news.ids ?? [...lines.keys()]).filter((run) => lines.has(run)).map((run) => lines.get(run)));
+}
+
 async function watch() {
-  await look();
-  setTimeout(watch, document.hidden ? HIDDEN_INTERVAL : INTERVAL);
+  const began = performance.now();
+  await look(document.hidden || mark === null ? 0 : WAIT);
+  setTimeout(watch, document.hidden ? HIDDEN_INTERVAL : Math.max(0, INTERVAL - (performance.now() - began)));
 }
 
 function say(sentence) {
@@ -191,7 +205,6 @@ async function each(runs, act) {
       refused.push(error.message);
     }
   }
-  version = null;
   await look();
   return { done, refused };
 }

@@ -118,6 +118,7 @@ async function openViewer() {
 
 // The viewer's client looks for a lost server only while it has the focus.
 function focusViewer() {
+  if (!has3d) return;
   if ([document.body, viewer, null].includes(document.activeElement)) viewer.contentWindow?.focus();
 }
 
@@ -141,7 +142,7 @@ function hearHelp(event) {
 
 // A key that nothing on this page takes is meant for the viewer.
 document.addEventListener("keydown", (event) => {
-  if (hearHelp(event) || typing(event) || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (hearHelp(event) || !has3d || typing(event) || event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.target.closest("button, a, #tour") && [" ", "Enter", "Tab", "Escape"].includes(event.key)) return;
   const { key, code, shiftKey } = event;
   viewer.contentDocument?.documentElement.dispatchEvent(new KeyboardEvent("keydown", { key, code, shiftKey, bubbles: true }));
