@@ -74,9 +74,7 @@ def evil(tmp_path: Path) -> Path:
     (broken.path / "run.json").write_text(json.dumps(record))
     strange = tmp_path / "runs" / f"b{EVIL}".replace("/", "")
     (broken.path).rename(strange)
-    design = Design(
-        task="reacher", task_options={}, robot="arm", run=EVIL, design="best", iteration=1, parameters=[]
-    )  # fmt: skip
+    design = Design(task="reacher", task_options={}, robot="arm", run=EVIL, design="best", iteration=1, parameters=[])
     (tmp_path / "design.json").write_bytes(msgspec.json.encode(design))
     return tmp_path
 
@@ -84,11 +82,22 @@ def evil(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     "words",
     [
-        "runs", "runs --tree", f"log {NAME}", f"evaluate {NAME}", f"export {NAME} --formats mjcf",
-        f"compare {NAME} {NAME}", "import design.json", "import design.json --start", f"train --resume {NAME}\x1b[2J", "verify design.json",
-        f"replay {NAME}", "\x1b[2J", f"train {EVIL.strip()}", f"export {NAME} --design \x1b[2J",
+        "runs",
+        "runs --tree",
+        f"log {NAME}",
+        f"evaluate {NAME}",
+        f"export {NAME} --formats mjcf",
+        f"compare {NAME} {NAME}",
+        "import design.json",
+        "import design.json --start",
+        f"train --resume {NAME}\x1b[2J",
+        "verify design.json",
+        f"replay {NAME}",
+        "\x1b[2J",
+        f"train {EVIL.strip()}",
+        f"export {NAME} --design \x1b[2J",
     ],
-)  # fmt: skip
+)
 def test_no_command_prints_what_a_terminal_would_obey(
     evil: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: str
 ) -> None:
@@ -115,9 +124,12 @@ def test_output_never_dies_of_an_encoding(tmp_path: Path, encoding: str, words: 
     folder = make_run(tmp_path / "ü" / "机")
     write_marks(folder.path, Marks(name="größte ★ 机器人"))
     done = subprocess.run(
-        [sys.executable, "-m", "studio.cli", *words.split()], capture_output=True, cwd=tmp_path, timeout=60,
+        [sys.executable, "-m", "studio.cli", *words.split()],
+        capture_output=True,
+        cwd=tmp_path,
+        timeout=60,
         env=ENVIRONMENT | {"PYTHONIOENCODING": encoding},
-    )  # fmt: skip
+    )
     assert (done.returncode, done.stderr) == (0, b"")
     if "--json" in words:
         assert json.loads(done.stdout.decode("ascii"))[0]["marks"]["name"] == "größte ★ 机器人"
@@ -146,10 +158,17 @@ def test_a_tilde_is_home_in_every_path(
     make_run(tmp_path / "home" / "x", "good")
     monkeypatch.setattr("subprocess.Popen", _refuse)
     words = {
-        "runs": [], "log": ["good"], "evaluate": ["good", "--phi-from=~/design.json"],
-        "export": ["good", "--out=~/new.zip"], "compare": ["good", "good"], "verify": ["~/none.zip"], "import": ["~/none.json"], "replay": ["good"],
-        "train": ["reacher", "--iterations=1"], "study": ["--report=~/none"],
-    }  # fmt: skip
+        "runs": [],
+        "log": ["good"],
+        "evaluate": ["good", "--phi-from=~/design.json"],
+        "export": ["good", "--out=~/new.zip"],
+        "compare": ["good", "good"],
+        "verify": ["~/none.zip"],
+        "import": ["~/none.json"],
+        "replay": ["good"],
+        "train": ["reacher", "--iterations=1"],
+        "study": ["--report=~/none"],
+    }
     if given_by == "environment":
         monkeypatch.setenv("MORPH_RUNS", "~/x")
     elif command not in ("verify", "study"):
@@ -177,9 +196,14 @@ def flags_of() -> Callable[[str], list[str]]:
 
     def flags(words: str) -> list[str]:
         shown = subprocess.run(
-            [sys.executable, "-m", "studio.cli", *words.split(), "--help"], capture_output=True, text=True, cwd=ROOT,
-            env=ENVIRONMENT | {"COLUMNS": "200"}, timeout=60, check=True,
-        ).stdout  # fmt: skip
+            [sys.executable, "-m", "studio.cli", *words.split(), "--help"],
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            env=ENVIRONMENT | {"COLUMNS": "200"},
+            timeout=60,
+            check=True,
+        ).stdout
         listed = [re.match(r"^[│\s]*((?:-\w, )?--[A-Za-z][\w.-]*)", line) for line in shown.splitlines()]
         return [flag for match in listed if match for flag in match[1].split(", ")]
 
@@ -188,13 +212,24 @@ def flags_of() -> Callable[[str], list[str]]:
 
 @pytest.mark.parametrize(
     "words",
-    [*COMMANDS, "train pen_press", "train mouse_click", "train reacher --method transform2act",
-     "train reacher --search drift", "train reacher --exploration gaussian", "train reacher --method cmaes_rl", "train reacher --preset paper"],
-)  # fmt: skip
+    [
+        *COMMANDS,
+        "train pen_press",
+        "train mouse_click",
+        "train reacher --method transform2act",
+        "train reacher --search drift",
+        "train reacher --exploration gaussian",
+        "train reacher --method cmaes_rl",
+        "train reacher --preset paper",
+    ],
+)
 def test_help_lists_only_what_is_accepted(
-    flags_of: Callable[[str], list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str,
+    flags_of: Callable[[str], list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: str,
     capfd: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     flags = flags_of(words)
     assert len(flags) >= 1 + (words != "verify")
     monkeypatch.chdir(tmp_path)
@@ -202,7 +237,7 @@ def test_help_lists_only_what_is_accepted(
     for flag in flags:
         if flag in ("-h", "--help"):
             continue
-        # No value of any option: the flag itself is never what is wrong.
+        # No value that an option takes; whatever is wrong with it, it is never the flag itself.
         run(
             [
                 *words.split(),
