@@ -89,7 +89,7 @@ def main(words: Sequence[str]) -> int:
     try:
         outcome = follow(folder, spawn, quiet=asked.json)
     except OSError as error:
-        raise UsageError(f"train: {folder.id} can't be written to: {error}") from error
+        raise UsageError(f"train: {error}") from error
     if asked.json:
         write_json(_document(History(folder), outcome))
     return outcome.code
