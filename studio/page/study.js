@@ -57,7 +57,7 @@ async function look() {
   try {
     const response = await fetch("api/study", { cache: "no-store", signal: AbortSignal.timeout(8000) });
     if (response.status === 401) say("The server was started anew: open the link it printed in its terminal.");
-    else if (!response.ok) throw new Error(`/api/study answered ${response.status}`);
+    else if (!response.ok) throw new Error(`api/study answered ${response.status}`);
     else show(await response.json());
   } catch {
     say("The server does not answer; trying again. Runs go on without it.");
