@@ -116,8 +116,6 @@ def test_an_odd_prefix_is_refused_and_from_a_proxy_not_heeded(trusting: Served, 
 
 
 PARTS = st.lists(st.text("aB3_~@-", min_size=1, max_size=8), max_size=4)
-    st.from_regex(r"[A-Za-z0-9._~@-]{1,8}", fullmatch=True).filter(lambda p: p not in (".", "..")), max_size=4
-)
 
 
 @given(PARTS, st.booleans())
