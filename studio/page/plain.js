@@ -31,6 +31,7 @@ async function openPlain() {
   find("plain-task").replaceChildren(...told.tasks.map((task) => option(task.name, task.title, "", false)));
   find("plain-method").replaceChildren(...told.methods.map((name) => option(name, `${name}: ${told.method_titles[name]}`, "", false)));
   find("plain-method").value = "morph";
+  find("plain-go").disabled = false;
 }
 
 find("plain-start").addEventListener("submit", (event) => {
@@ -102,4 +103,9 @@ find("new").addEventListener("click", () => has3d || find("plain-task").focus())
 find("plain-which").addEventListener("change", () => {
   find("plain-export").href = runAddress(`/designs/${find("plain-which").value}/export`);
 });
-if (!has3d) addEventListener("DOMContentLoaded", () => openPlain().catch(() => setTimeout(openPlain, 2000)));
+
+async function openUntilThere() {
+  await openPlain().catch(() => setTimeout(openUntilThere, 2000));
+}
+
+if (!has3d) addEventListener("DOMContentLoaded", openUntilThere);

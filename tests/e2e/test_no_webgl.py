@@ -10,6 +10,7 @@ from playwright.sync_api import Page, expect, sync_playwright
 from served import Server, beat_of, events_of, wait_for
 
 from morph_core.protocol import Acknowledged, Lock, Progress, SetAlpha, SetBound, Stop
+from morph_core.run_folder import list_runs
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
 
@@ -34,9 +35,9 @@ def test_a_run_is_started_steered_and_exported_without_webgl(server: Server, fla
     expect(page.locator("#loading")).to_be_hidden()
     expect(page.locator("#chooser")).to_contain_text("no runs yet")
 
-    page.get_by_label("Iterations").fill("60")
+    page.get_by_label("Iterations", exact=True).fill("60")
     page.get_by_role("button", name="Start", exact=True).click()
-    wait_for("a run folder", lambda: any(server.runs.glob("*/run.json")), 15)
+    wait_for("a run folder", lambda: list_runs(server.runs), 15)
     run = server.only_run()
     expect(page.get_by_role("heading", name=run.id)).to_be_visible()
     expect(page.locator("#chooser")).to_contain_text(run.id)
@@ -75,6 +76,6 @@ def test_a_run_is_started_steered_and_exported_without_webgl(server: Server, fla
     for width in (390, 1280):
         page.set_viewport_size({"width": width, "height": 800})
         assert page.evaluate("document.documentElement.scrollWidth") == width
-    page.get_by_role("link", name="Runs").click()
+    page.get_by_role("link", name="Runs", exact=True).click()
     expect(page.locator(".tabulator-row")).to_have_count(1)
     assert complaints == []
