@@ -18,7 +18,7 @@ const counted = (count, word = "run") => `${count} ${count === 1 ? word : `${wor
 
 let table = null;
 let boot = null;
-let mark = null; // of the last news, by which the server knows what this page has
+let heard = null; // the mark of the last news, by which the server knows what this page has
 let known = new Map(); // id -> the row as it came
 let undoLast = null;
 let hushing = 0;
@@ -40,16 +40,16 @@ async function ask(path, method = "GET", body) {
 
 async function look(wait = 0) {
   try {
-    const words = new URLSearchParams(mark ? { wait, after: mark } : { wait });
+    const words = new URLSearchParams(heard ? { wait, after: heard } : { wait });
     const response = await fetch(`api/news?${words}`, { cache: "no-store", signal: AbortSignal.timeout(20000 + 1000 * wait) });
     if (response.status === 401) return say("The server was started anew: open the link it printed in its terminal.");
     if (!response.ok) throw new Error(`api/news answered ${response.status}`);
     const news = await response.json();
     if (news.is_new || !table) await hear(news);
-    [boot, mark] = [news.boot, news.mark];
+    [boot, heard] = [news.boot, news.mark];
     return say("");
   } catch {
-    mark = null;
+    heard = null;
     return say("The server does not answer; trying again. Runs go on without it.");
   }
 }
@@ -57,7 +57,7 @@ async function look(wait = 0) {
 // Ask for the rows that have changed, or for all where that is shorter, and show the table as it is now.
 async function hear(news) {
   const changed = news.runs.map((run) => run.id);
-  const some = news.boot === boot && mark !== null && changed.length < MOST_ASKED;
+  const some = news.boot === boot && heard !== null && changed.length < MOST_ASKED;
   const words = new URLSearchParams(some ? changed.map((run) => ["run", run]) : []);
   const rows = some && !changed.length ? [] : await ask(some ? `api/table?${words}` : "api/table");
   const lines = new Map([...(some ? known : []), ...rows.map((row) => [row.id, row])]);
@@ -66,7 +66,7 @@ async function hear(news) {
 
 async function watch() {
   const began = performance.now();
-  await look(document.hidden || mark === null ? 0 : WAIT);
+  await look(document.hidden || heard === null ? 0 : WAIT);
   setTimeout(watch, document.hidden ? HIDDEN_INTERVAL : Math.max(0, INTERVAL - (performance.now() - began)));
 }
 
