@@ -60,6 +60,8 @@ from studio.what_if import WhatIfs
 
 SHOW_INTERVAL = 0.2
 """Seconds between two looks at the runs for the viewer."""
+NARROW_PAGE = 900
+"""Width in pixels below which a page begins with one column of panels: the scene keeps more than a third of it."""
 _log = logging.getLogger(__name__)
 
 
@@ -109,7 +111,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
         return build_bundle(runs.get(run_id), which, formats, phi)
 
     def make(client: viser.ClientHandle) -> Viewer:
-        return Viewer(
+        viewer = Viewer(
             client,
             on_command=runs.send,
             on_start=runs.start,
@@ -120,6 +122,9 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
             family=lambda run_id: tree_of(run_id, runs.parents()),
             album=album,
         )
+        if 0 < client.camera.image_width < NARROW_PAGE:
+            viewer.playback.panel.minimize()  # with the column in which it stands
+        return viewer
 
     return Desks(server, make)
 
