@@ -8,7 +8,7 @@ from studio.viewer import wording
 _SHAPES: dict[Kind, tuple[str, str, int]] = {
     "starred": ("★", "#c9a400", 0),
     "best": ("★", "#17a673", 0),
-    "command": ("◆", "#2467ad", 1),
+    "command": ("◆", "#2f7fd1", 1),
     "freeze": ("■", "#8a6be0", 1),
     "restart": ("▲", "#e07b00", 1),
     "resume": ("▶", "#7a828e", 1),

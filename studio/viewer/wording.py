@@ -69,8 +69,8 @@ def badge(status: Status) -> str:
 def alert(sentence: str, colour: str = RED) -> str:
     """Return a sentence as HTML, in a frame that can't be overlooked."""
     return paragraph(
-        f'<div role="alert" style="border-left:4px solid {colour};background:{colour}22;padding:0.45em 0.7em;'
-        f'border-radius:0.25em">{text(sentence)}</div>'
+        f'<div role="alert" style="border-left:4px solid {colour};padding:0.45em 0.7em;border-radius:0.25em;'
+        f'background:color-mix(in srgb, {colour} 13%, transparent)">{text(sentence)}</div>'
     )
 
 
