@@ -147,7 +147,7 @@ function keepBox(box, table) {
   for (const event of ["rowSelectionChanged", "renderComplete"]) table.on(event, show);
 }
 
-export function makeTable(element, wishes) {
+export function makeTable(element, pages, wishes) {
   const all = boxForAll();
   const table = new Tabulator(element, {
     index: "id", columns: columns(wishes, all), layout: "fitColumns", responsiveLayout: "hide", height: "100%", rowHeight: 66,
@@ -161,6 +161,9 @@ export function makeTable(element, wishes) {
   });
   keepBox(all, table);
   table.on("tableBuilt", () => {
+    // A grid holds rows and nothing else: its pages stand beside it, and what scrolls is reached through its rows.
+    pages.append(element.querySelector(".tabulator-footer"));
+    element.querySelector(".tabulator-tableholder").removeAttribute("tabindex");
     for (const column of element.querySelectorAll(".tabulator-col.tabulator-sortable")) column.tabIndex = 0;
   });
   for (const event of ["renderComplete", "dataFiltered", "pageLoaded"]) table.on(event, () => requestAnimationFrame(() => offerFirstRow(element)));

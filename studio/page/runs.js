@@ -81,7 +81,7 @@ async function show(rows) {
   const before = known;
   known = new Map(rows.map((row) => [row.id, row]));
   find("empty").hidden = rows.length > 0;
-  find("table").hidden = find("filters").hidden = rows.length === 0;
+  find("all").hidden = find("filters").hidden = rows.length === 0;
   offerFilters(rows);
   if (!table) return build(rows.map(flat));
   const fresh = rows.filter((row) => !before.has(row.id));
@@ -101,7 +101,7 @@ async function show(rows) {
 
 function build(rows) {
   return new Promise((done) => {
-    table = makeTable(find("table"), { onStar: (row) => mark([row], { starred: !row.starred }), onOpen: (row) => open(row.id) });
+    table = makeTable(find("table"), find("pages"), { onStar: (row) => mark([row], { starred: !row.starred }), onOpen: (row) => open(row.id) });
     table.on("rowSelectionChanged", tellChosen);
     table.on("dataFiltered", (_, shown) => tellCount(shown.length));
     table.on("tableBuilt", async () => {

@@ -149,7 +149,17 @@ document.addEventListener("keydown", (event) => {
   focusViewer();
 });
 
+// Of viser's own colours, those on which or with which words are too pale to be read.
+const READABLE = `:root[data-mantine-color-scheme="light"] {
+  --mantine-color-dimmed: #5b6570 !important; --mantine-color-gray-filled: #5b6570 !important;
+  --mantine-color-green-filled: #1f7a4a !important; --mantine-color-blue-filled: #2467ad !important;
+}
+:root[data-mantine-color-scheme="dark"] { --mantine-color-dimmed: #a9b1ba !important; }`;
+
 viewer.addEventListener("load", () => {
+  const style = viewer.contentDocument.createElement("style");
+  style.textContent = READABLE;
+  viewer.contentDocument.head.append(style);
   viewer.contentDocument.addEventListener("keydown", hearHelp);
   // An arrow moves the slider that has the focus, and not the timeline too.
   viewer.contentDocument.body.addEventListener("keydown", (event) => {
