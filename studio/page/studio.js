@@ -153,8 +153,13 @@ document.addEventListener("keydown", (event) => {
 const READABLE = `:root[data-mantine-color-scheme="light"] {
   --mantine-color-dimmed: #5b6570 !important; --mantine-color-gray-filled: #5b6570 !important;
   --mantine-color-green-filled: #1f7a4a !important; --mantine-color-blue-filled: #2467ad !important;
+  --mantine-color-custom-filled: #2467ad !important; --mantine-color-custom-outline: #2467ad !important;
+  --mantine-primary-color-filled: #2467ad !important;
 }
-:root[data-mantine-color-scheme="dark"] { --mantine-color-dimmed: #a9b1ba !important; }`;
+:root[data-mantine-color-scheme="dark"] {
+  --mantine-color-dimmed: #a9b1ba !important; --mantine-primary-color-filled: #5ba3ea !important;
+}
+:root[data-mantine-color-scheme="dark"] .mantine-Button-root:not([style*="--button-bg"]) { background: #2467ad !important; }`;
 
 viewer.addEventListener("load", () => {
   const style = viewer.contentDocument.createElement("style");

@@ -90,7 +90,7 @@ class Viewer:
         self._awaited_since = 0.0
         self._pending: dict[str, list[tuple[AnyCommand, int]]] = {}
         gui = host.gui
-        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(25, 72, 121))
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(47, 127, 209))
         gui.set_panel_label("Run and playback")
         light_up(host)
         gui.main_panel.dock_right()
