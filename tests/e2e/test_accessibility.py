@@ -70,4 +70,5 @@ def test_what_the_viewer_lacks_is_visers_own_and_listed(filled: Server, page: Pa
     page.goto(filled.url)
     page.frame_locator("#viewer").get_by_role("tab", name="Timeline", exact=True).wait_for(timeout=60_000)
     listed = set(re.findall(r"^\| `([a-z-]+)`", LISTED.read_text(), re.MULTILINE))
-    assert set(grave(page.frames[-1])) == listed
+    assert listed
+    assert set(grave(page.frames[-1])) <= listed

@@ -44,7 +44,7 @@ def test_an_idle_page_with_600_ended_runs_costs_less_than_a_kilobyte_a_second(
             frame = page.frame_locator("#viewer")
             frame.get_by_role("tab", name="Timeline", exact=True).wait_for(timeout=60_000)
             expect(page.locator("#chooser option")).to_have_count(600)
-            frame.get_by_role("button", name="Pause playback").dispatch_event("click")
+            page.keyboard.press(" ")  # pauses the episode, where one is played
         page.wait_for_timeout(3000)
         assert rate(proxy, page, 12) < 1024
 
