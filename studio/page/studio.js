@@ -152,7 +152,7 @@ document.addEventListener("keydown", (event) => {
 // Of viser's own colours, those on which or with which words are too pale to be read.
 const READABLE = `:root[data-mantine-color-scheme="light"] {
   --mantine-color-dimmed: #5b6570 !important; --mantine-color-gray-filled: #5b6570 !important;
-  --mantine-color-green-filled: #1f7a4a !important; --mantine-color-blue-filled: #2467ad !important;
+  --mantine-color-blue-filled: #2467ad !important;
   --mantine-color-custom-filled: #2467ad !important; --mantine-color-custom-outline: #2467ad !important;
   --mantine-primary-color-filled: #2467ad !important;
 }
