@@ -407,7 +407,9 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     listener = socket.create_server(("127.0.0.1", 0))
     port = listener.getsockname()[1]
     app = create_app(settings, runs=Runs(settings.runs, spawn), desks=desks)
-    config = uvicorn.Config(app, log_level="error", ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1)
+    config = uvicorn.Config(
+        app, log_level="error", ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1, proxy_headers=False
+    )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
     thread.start()
