@@ -9,7 +9,7 @@ from morph_core.protocol import Recorded, Which
 from studio.viewer import wording
 from studio.viewer.player import SPEEDS, Player
 from studio.viewer.rewards import cursor, reward_chart, reward_legend
-from studio.viewer.take import Take
+from studio.viewer.take import FRAMES_PER_SECOND, Take
 from studio.viewer.view import Remembered
 
 Refuse = Callable[[str, viser.ClientHandle | None], None]
@@ -45,7 +45,9 @@ class PlaybackPanel:
                 "episode", (_ONLY,), hint="By return among the episodes of this evaluation; failed: a typical failure"
             )
             self.play = gui.add_button("Pause playback", icon=viser.Icon.PLAYER_PAUSE, hint="Space or K")
-            self.frame = gui.add_button_group("frame", ("◂ back", "on ▸"), hint="One frame, 1/30 s: , and . keys")
+            self.frame = gui.add_button_group(
+                "frame", ("◂ back", "on ▸"), hint=f"One frame, 1/{FRAMES_PER_SECOND} s: , and . keys"
+            )
             self.time = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
             self.rewards = gui.add_html("", visible=False)
             self.cursor = gui.add_html("", visible=False)

@@ -84,6 +84,7 @@ class Player:
         self._painted: dict[Layer, np.ndarray] = {}
         self._marked: bytes | None = None
         self._time = 0.0
+        self._drawn = -1
         self._sought = False
         self._playing = True
         self._looping = True
@@ -174,7 +175,8 @@ class Player:
             with self._change:
                 changed = self._shot != self._built
                 if not changed and not self._sought and self._crowd is None:
-                    self._change.wait(1 / FRAMES_PER_SECOND if self._moving() else _IDLE)
+                    next_frame = before + 1 / FRAMES_PER_SECOND - time.monotonic()
+                    self._change.wait(max(0.0, next_frame) if self._moving() else _IDLE)
                 shot, sought, self._sought = self._shot, self._sought, False
             now = time.monotonic()
             elapsed, before = now - before, now
@@ -216,7 +218,7 @@ class Player:
     def _put_up(self, take: Take) -> None:
         """Replace the scene's content; a design that follows another starts where that one was in its episode."""
         self._frame(take)
-        self._take = take
+        self._take, self._drawn = take, -1
         if self._time > take.duration:
             self._time = 0.0
         with self._host.atomic():
@@ -302,9 +304,11 @@ class Player:
         return min(self._instant(), episode.frames - 1)
 
     def _draw(self) -> None:
-        take = self._take
-        if take is None:
+        """Draw the frame that it is time for, unless it stands there already, and send it at once."""
+        take, instant = self._take, self._instant()
+        if take is None or instant == self._drawn:
             return
+        self._drawn = instant
         frame = self._instant_of(take)
         with self._host.atomic():  # robot, lights and contact markers belong to one instant
             self._robot.pose(frame)
@@ -317,6 +321,7 @@ class Player:
             self._mark(take.contact[frame], take)
             radius = _ARROW_RADIUS * float(np.max(take.box[1] - take.box[0]))
             self._forces.show(take.forces.at(frame) if take.forces else np.zeros((0, 2, 3)), radius)
+        self._host.flush()  # else viser waits for as long as a frame lasts, and every few frames two become one
 
     def _paint(self, layer: Layer, colours: np.ndarray) -> None:
         if not np.array_equal(colours, self._painted.get(layer, colours)):

@@ -25,7 +25,7 @@ from studio.viewer.tint import Tint, painted
 Corners = tuple[np.ndarray, np.ndarray]
 """Lowest (3,) and highest corner (3,) of a box, in m."""
 
-FRAMES_PER_SECOND = 30
+FRAMES_PER_SECOND = 60
 GOAL_LIT = (20, 200, 90)
 WALL_LIT = (235, 90, 50)
 LIT_BY = {"button": ("pressed", (255, 214, 40))}
