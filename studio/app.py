@@ -110,6 +110,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
             answers=what_ifs,
             family=lambda run_id: tree_of(run_id, runs.parents()),
             album=album,
+            others=runs,
         )
 
     return Desks(server, make)

@@ -147,6 +147,10 @@ class Runs:
         refused = passed_over(self.folder)
         return lines + [Summary(id=name, status="unreadable", reason=why) for name, why in sorted(refused.items())]
 
+    def of_task(self, task: str) -> dict[str, str]:
+        """Return what people call each run of a task that can be read, or "", by the run's own name, newest first."""
+        return {s.id: s.marks.name for s in self.summaries() if s.task == task and s.status != "unreadable"}
+
     def rows(self) -> list[Row]:
         """Return all runs with what they have come to, newest first."""
         return [self._row(line) for line in self.summaries()]

@@ -263,6 +263,20 @@ class Stars:
 
 
 @dataclass
+class Neighbours:
+    """The runs that a design may be compared with; those of `names` are called something by people."""
+
+    histories: dict[str, History] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
+
+    def of_task(self, task: str) -> dict[str, str]:
+        return {name: self.names.get(name, "") for name, h in self.histories.items() if h.record.task == task}
+
+    def get(self, run_id: str) -> History:
+        return self.histories[run_id]
+
+
+@dataclass
 class Page:
     """A viewer, and what it has asked for."""
 
@@ -277,6 +291,7 @@ class Page:
     branched: list[tuple[str, int, list[float]]] = field(default_factory=list)
     answers: Oracle = field(default_factory=Oracle)
     album: Stars = field(default_factory=Stars)
+    others: Neighbours = field(default_factory=Neighbours)
     refusal: str | None = None
     family: Member | None = None
 
@@ -315,7 +330,7 @@ def page() -> Iterator[Page]:
         heed(lambda: page.branched.append((run_id, iteration, phi)))
         return NAME
 
-    answers, album = Oracle(), Stars()
+    answers, album, others = Oracle(), Stars(), Neighbours()
     viewer = Viewer(
         server,
         on_command=lambda run_id, command, _: heed(lambda: page.commands.append((run_id, command))),
@@ -326,8 +341,9 @@ def page() -> Iterator[Page]:
         answers=answers,
         family=lambda _: page.family,
         album=album,
+        others=others,
     )
-    page = Page(server, viewer, answers=answers, album=album)
+    page = Page(server, viewer, answers=answers, album=album, others=others)
     yield page
     viewer.stop()
     server.stop()

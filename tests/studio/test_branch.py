@@ -542,7 +542,7 @@ def test_tree_and_log_are_shown_in_their_tab(page: Page, trained: RunFolder) -> 
     page.show(trained)
     panel = page.viewer.log
     assert "No run was branched from this one yet" in panel.tree.content
-    assert not panel.relatives.visible
+    assert not panel._links.list.visible
     assert "α set to 2.5, in force from iteration 1" in panel.log.content
     assert "a test" in panel.log.content
     assert panel.log.content.index("finished") < panel.log.content.index("trainer started")
@@ -552,9 +552,12 @@ def test_tree_and_log_are_shown_in_their_tab(page: Page, trained: RunFolder) -> 
     page.show(trained)
     assert "child&lt;b&gt;" in panel.tree.content
     assert "from iteration 2, asked for 3" in panel.tree.content
-    assert panel.relatives.options == ("open one of them…", "child<b>")
-    panel.relatives.value = "child<b>"
-    panel._open()
+    (button,) = [button for button in panel._links._buttons if button.visible]
+    assert button.label == "child<b>"
+    assert f'<label for="{button._impl.uuid}" title="open child&lt;b&gt;"' in panel.tree.content
+    panel._open(1)
+    assert page.viewer.selected == trained.id
+    panel._open(0)
     assert page.viewer.selected == "child<b>"
 
 
