@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -24,7 +25,19 @@ from fastapi import FastAPI
 from morph_core.catalogue import make_method, make_task, read_method
 from morph_core.config import recorded
 from morph_core.history import History
-from morph_core.protocol import FORMAT, AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
+from morph_core.protocol import (
+    FORMAT,
+    AnyCommand,
+    AnyEvent,
+    Evaluation,
+    InjectDesign,
+    Lock,
+    Progress,
+    RunRecord,
+    SetAlpha,
+    StateChanged,
+    Status,
+)
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
 from morph_core.what_if import Measured
 from studio.album import Album
@@ -35,7 +48,7 @@ from studio.cancellation import Cancellation
 from studio.export.bundle import Bundle
 from studio.export.check import Check
 from studio.export.design_file import Design, Value
-from studio.new_run import StartRun
+from studio.new_run import StartRun, prepare_run
 from studio.runs import Runs
 from studio.settings import Settings
 from studio.viewer import Viewer
@@ -127,6 +140,20 @@ def make_run(runs: Path, name: str = NAME, ended: Status | None = "stopped") -> 
     log.append(StateChanged(status=ended, iteration=3, message="as asked"))
     log.close()
     return folder
+
+
+def append(folder: RunFolder, *events: AnyEvent) -> None:
+    """Write events to the log of a run."""
+    log = EventLog(folder)
+    for event in events:
+        log.append(event)
+    log.close()
+
+
+def progress(iteration: int, **values: object) -> Progress:
+    """Return what an iteration of the reacher records."""
+    known = {"env_steps": 100, "phi": [2.0] * 5, "episode_return": -1.0, "success": 0.0, "policy_std": 0.5}
+    return Progress(iteration=iteration, **(known | values))  # pyright: ignore[reportArgumentType]
 
 
 def make_hand_run(runs: Path, task: str, name: str = "20260101-000000-hand-direct-s0") -> RunFolder:
@@ -461,3 +488,35 @@ def add_checkpoint(folder: RunFolder, iteration: int) -> None:
     state = start(task, read_method(record), 0)
     state.iteration = iteration
     save_checkpoint(folder, state, 0.0)
+
+
+TINY = {
+    "trajectories": 4,
+    "ppo": {"epochs": 1, "minibatches": 1},
+    "proxy.prefit": 5,
+    "search.generations": 2,
+    "hidden": 8,
+    "evaluation": {"interval": 2, "episodes": 2},
+}
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A finished run of four iterations with two checkpoints, steered before the first; nobody changes it."""
+    from morph_core.train import Trainer  # torch: only where it is needed
+
+    wish = StartRun(task="reacher", iterations=4, seed=5, settings=TINY, task_options={"tunnel": "paper"})
+    folder = prepare_run(tmp_path_factory.mktemp("runs"), wish)
+    folder.send(SetAlpha(2.5), "a test")
+    folder.send(Lock("link_5", 2.75))
+    folder.send(InjectDesign([9.0] * 5))
+    Trainer(folder).run()
+    (folder.path / "heartbeat.json").unlink()  # it says that this process is the trainer, which others would end
+    return folder
+
+
+@pytest.fixture
+def parent(trained: RunFolder, tmp_path: Path) -> RunFolder:
+    """A copy of that run in a folder of its own."""
+    shutil.copytree(trained.path, tmp_path / "here" / trained.id)
+    return RunFolder(tmp_path / "here" / trained.id)
