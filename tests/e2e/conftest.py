@@ -8,6 +8,8 @@ import pytest
 from playwright.sync_api import Page, sync_playwright
 from served import Server
 
+from tests.studies import Made, write_study
+
 # Headless WebGL without a GPU; the rest keeps Chromium from talking to anyone but the server under test.
 FLAGS = [
     "--no-sandbox",
@@ -29,6 +31,13 @@ def server(tmp_path: Path) -> Iterator[Server]:
         yield server
     finally:
         server.stop()
+
+
+@pytest.fixture
+def runs(server: Server) -> Path:
+    """Fill the folder of the server with two runs of ten iterations."""
+    write_study(server.runs, [Made("direct", "direct")], [0, 1], iterations=10)
+    return server.runs
 
 
 @pytest.fixture
