@@ -19,6 +19,7 @@ class DesignPanel:
         self._gui = gui
         self._send = send
         self._names: tuple[str, ...] = ()
+        self._told: tuple[object, ...] = ()
         self._form: viser.GuiFormHandle | None = None
         self._bounds: BoundsForm | None = None
         self.change = gui.add_html("", visible=False)
@@ -42,8 +43,11 @@ class DesignPanel:
         if self._bounds is None or tuple(space.names) != self._names:
             self._bounds = self._build(space)
         self.holder.visible = self.change.visible = True
-        self.change.content = wording.paragraph("<b>Present design φ, against the initial one</b>")
-        self.change.content += change_table(history, phi)
+        told = history.record.id, phi.tobytes()
+        if told != self._told:
+            self._told = told
+            heading = wording.paragraph("<b>Present design φ, against the initial one</b>")
+            self.change.content = heading + change_table(history, phi)
         live = status not in NOT_LIVE
         self.note.content = wording.paragraph(
             wording.dim(

@@ -3,7 +3,7 @@
 import math
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import viser
@@ -41,6 +41,20 @@ _MOST_LABELS = 8
 """Largest number of lines along a side of the grid that all have their length written at them; of more, every second
 one has."""
 _RULER_COLOUR = (150, 155, 165)
+
+
+class _Changes(SceneNodeUpdateMessage):
+    """Arrays that a node's properties become; viser's own way to write a message down looks at every value's type."""
+
+    def as_serializable_dict(self, binary_buffers: list[memoryview] | None = None) -> dict[str, Any]:
+        """Return what goes to the browsers; the arrays themselves are appended to `binary_buffers`."""
+        if binary_buffers is None:
+            return super().as_serializable_dict()
+        places = {}
+        for name, array in self.updates.items():
+            places[name] = {"__binary_index": len(binary_buffers), "dtype": array.dtype.str}
+            binary_buffers.append(array.data)
+        return {"type": "SceneNodeUpdateMessage", "name": self.name, "updates": places, "owner": self.owner}
 
 
 @dataclass
@@ -189,11 +203,15 @@ def _change(handle: viser.BatchedMeshHandle, arrays: dict[str, np.ndarray]) -> N
     become the handle's own: whoever calls changes them no more.
     """
     props = handle._impl.props
-    changed = {name: array for name, array in arrays.items() if not np.array_equal(getattr(props, name), array)}
+    changed = {
+        name: np.ascontiguousarray(array)
+        for name, array in arrays.items()
+        if not np.array_equal(getattr(props, name), array)
+    }
     if changed:
         for name, array in changed.items():
             setattr(props, name, array)
-        handle._impl.api._queue_scene_message(SceneNodeUpdateMessage(handle.name, changed))
+        handle._impl.api._queue_scene_message(_Changes(handle.name, changed))
 
 
 def light_up(host: Host) -> None:

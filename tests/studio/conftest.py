@@ -230,8 +230,7 @@ class Oracle:
         self.asked.append(wish)
         if self.refusal:
             raise ValueError(self.refusal)
-        phi = wish.phi
-        assert isinstance(phi, list)
+        phi = wish.phi if isinstance(wish.phi, list) else history.design(wish.design)[1].tolist()
         if on_played:
             arrays = io.BytesIO()
             np.savez(arrays, qpos=np.zeros((4, len(phi))), phi=np.array(phi))

@@ -177,7 +177,7 @@ def test_other_options_stand_beside_each_other(page: Page, tmp_path: Path) -> No
     page.viewer.show(histories, statuses, NAME)
     panel = page.viewer.compare
     show_b(page, "overlaid", OTHER)
-    take = second(page)
+    take = second(page, lambda take: take.shot.second is not None and bool(take.shot.second.task_options))
     assert take.second is not None
     assert take.second.scenery is not None
     assert len(take.second.scenery) != len(take.scenery)

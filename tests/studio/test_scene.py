@@ -183,19 +183,20 @@ def test_a_frame_takes_one_message_for_each_node_that_moves(
 ) -> None:
     layer = Layer(server, "messages")
     qpos = random_qpos(model, 2)
-    qpos[1, :7] = qpos[0, :7]  # only the hinge turns, and so the tip, which is a box as the wall is
+    qpos[1, 3:7] = qpos[0, 3:7]  # the arm does not turn, its hinge does, and so the tip, which is a box as the wall is
     layer.show(Figure.from_model(model, qpos))
     sent: list[Message] = []
     monkeypatch.setattr(server.scene, "_queue_scene_message", sent.append)
     layer.pose(1)
-    assert [
-        (message.name, set(message.updates)) for message in sent if isinstance(message, SceneNodeUpdateMessage)
-    ] == [("/messages/box", {"batched_positions", "batched_wxyzs"})]
-    layer.pose(0)
-    layer.pose(0)
-    assert len(sent) == 2
-    layer.show(Figure.from_model(model, qpos))
-    assert len(sent) == 2
+    said = {message.name: set(message.updates) for message in sent if isinstance(message, SceneNodeUpdateMessage)}
+    assert len(said) == len(sent)
+    assert set(said) == set(layer.node_names)
+    assert said["/messages/box"] == {"batched_positions", "batched_wxyzs"}
+    assert said["/messages/cylinder"] == {"batched_positions"}
+    layer.pose(1)
+    assert len(sent) == len(said)
+    layer.show(Figure.from_model(model, qpos), 1)
+    assert len(sent) == len(said)
 
 
 @pytest.mark.parametrize("aspect", [0.75, 0.46])
