@@ -83,6 +83,8 @@ class Viewer:
         self._album = album
         self._tree: tuple[object, Member | None] = (None, None)
         self._turns = 0
+        self._is_told = False
+        """Whether the viewer has been told of the runs: until then nobody knows what is to be seen."""
         self._known: set[str] = set()
         self._lock = threading.RLock()
         self._histories: Mapping[str, History] = {}
@@ -112,8 +114,11 @@ class Viewer:
         left.set_width(390)
         self.traces = TracesPanel(gui, left.add_tab("Traces", viser.Icon.CHART_LINE))
         with left.add_tab("Steer", viser.Icon.ADJUSTMENTS):
-            self.steer = SteerPanel(gui, send=self._send)
-            self.design = DesignPanel(gui, send=self._send)
+            ways = gui.add_tab_group()
+            with ways.add_tab("Bounds and locks", viser.Icon.LOCK):
+                self.design = DesignPanel(gui, send=self._send)
+            with ways.add_tab("Algorithm", viser.Icon.MATH_FUNCTION):
+                self.steer = SteerPanel(gui, send=self._send)
         gallery = left.add_tab("Gallery", viser.Icon.PHOTO)
         self.gallery = GalleryPanel(gui, gallery, album, on_turn=self._turn_to)
         with left.add_tab("What if", viser.Icon.HAND_MOVE):
@@ -169,7 +174,7 @@ class Viewer:
     ) -> None:
         """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
         with self._lock:
-            self._histories, self._statuses = dict(histories), dict(statuses)
+            self._histories, self._statuses, self._is_told = dict(histories), dict(statuses), True
             self._known |= self._histories.keys()
             if current != self._suggested:
                 self._suggested = current
@@ -452,7 +457,8 @@ class Viewer:
         if run_id is None:
             self.traces.clear("no data yet: press Start")
             self.timeline.clear("what a run begins with, in its start posture")
-            if preview := self.start.preview:
+            preview = self.start.preview
+            if preview and self._is_told:
                 self.player.show(preview)
             return
         status, message = self._statuses.get(run_id, ("starting", "starting…"))

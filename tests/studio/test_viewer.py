@@ -62,6 +62,7 @@ def test_start_asks_for_what_the_form_says_and_opens_the_run(page: Page) -> None
 
 
 def test_another_tunnel_is_seen_before_the_start(page: Page) -> None:
+    page.viewer.show({}, {}, None)
     page.take()
     page.viewer.start.options["reacher"]["tunnel"].value = "paper"
     assert len(page.take(lambda take: len(take.scenery) > 5).scenery) == 9

@@ -191,10 +191,9 @@ def test_the_policy_is_tried_as_somebody_chooses_on_both_bodies(page: Page, pane
     panel._choose_policy(None)
     assert not panel.legend.visible  # it was drawn of the other policy
     assert not any(row.curves.visible for row in panel._rows)
-    assert eventually(lambda: len(page.answers.asked) == 4)
+    assert eventually(lambda: [wish.policy for wish in page.answers.asked].count("deterministic") == 2)
     changed, recorded = page.answers.asked[-2:]
-    assert (changed.policy, changed.phi) == ("deterministic", [4.0, 2.7, 2.7, 2.7, 2.7])
-    assert (recorded.policy, recorded.phi) == ("deterministic", None)
+    assert (changed.phi, recorded.phi) == ([4.0, 2.7, 2.7, 2.7, 2.7], None)
     assert eventually(lambda: "deterministic policy" in panel.result.content)
     click(panel.sweep)
     assert eventually(lambda: "deterministic policy, 32 episodes" in panel.legend.content)
