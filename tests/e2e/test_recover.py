@@ -1,10 +1,13 @@
 """A page comes back by itself, to where it was, from whatever keeps it from its server, and says meanwhile what is."""
 
+import contextlib
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
-from playwright.sync_api import CDPSession, Page, expect
+from playwright.sync_api import Page, expect
 from served import Server
 from test_desk_in_a_browser import NEW, OLD, choose, open_page, shows
 from test_studio import viewer_of
@@ -12,18 +15,23 @@ from test_studio import viewer_of
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 
 
-@pytest.fixture
-def asleep(page: Page) -> CDPSession:
-    """Return a connection by which a page is put to sleep: none of its scripts and timers runs, as on a shut laptop."""
-    return page.context.new_cdp_session(page)
-
-
-def sleep(asleep: CDPSession, *, on: bool) -> None:
-    asleep.send("Page.setWebLifecycleState", {"state": "frozen" if on else "active"})
+@contextlib.contextmanager
+def asleep() -> Iterator[None]:
+    """Let the browser sleep, as on a shut laptop: none of its processes runs."""
+    browser = [process for process in psutil.Process().children(recursive=True) if "chrom" in process.name()]
+    assert browser
+    for process in browser:
+        process.suspend()
+    try:
+        yield
+    finally:
+        for process in browser:
+            process.resume()
 
 
 def go_to_iteration_9(page: Page, run: str) -> None:
     choose(page, run)
+    expect(viewer_of(page).get_by_text("design of iteration 10").first).to_be_attached(timeout=30_000)
     page.keyboard.press("ArrowLeft")
     shows(page, run, 9)
 
@@ -49,16 +57,15 @@ def test_a_page_comes_back_to_its_place_when_the_server_does(server: Server, pag
 
 
 @pytest.mark.usefixtures("runs")
-def test_a_page_that_has_slept_comes_back_though_its_connection_is_gone(
-    server: Server, page: Page, asleep: CDPSession
-) -> None:
+def test_a_page_that_has_slept_comes_back_though_its_connection_is_gone(server: Server, page: Page) -> None:
     open_page(page, server.url)
     go_to_iteration_9(page, NEW)
-    sleep(asleep, on=True)
-    server.kill()
-    server.start()
-    assert page.locator("#banner").is_hidden()  # it sleeps
-    sleep(asleep, on=False)
+    viewer = "document.getElementById('viewer').contentWindow"
+    page.evaluate(f"{viewer}.sleeping = true")
+    with asleep():
+        server.kill()
+        server.start()
+    page.wait_for_function(f"!{viewer}.sleeping", timeout=30_000)  # the viewer that has lost its server is gone
     comes_back(page, NEW)
 
 
