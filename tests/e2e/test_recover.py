@@ -8,7 +8,7 @@ from pathlib import Path
 import psutil
 import pytest
 from playwright.sync_api import Page, expect
-from served import Server
+from served import Server, wait_for
 from test_desk_in_a_browser import NEW, OLD, choose, open_page, shows
 from test_studio import viewer_of
 
@@ -65,7 +65,9 @@ def test_a_page_that_has_slept_comes_back_though_its_connection_is_gone(server: 
     with asleep():
         server.kill()
         server.start()
-    page.wait_for_function(f"!{viewer}.sleeping", timeout=30_000)  # the viewer that has lost its server is gone
+    wait_for(
+        "a viewer in place of the one that has lost its server", lambda: not page.evaluate(f"{viewer}.sleeping"), 30
+    )
     comes_back(page, NEW)
 
 
