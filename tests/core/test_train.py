@@ -25,17 +25,12 @@ from morph_core.searches.cma import Cma
 from morph_core.state import start
 from morph_core.train import SHOWN_DESIGNS, Trainer, _keep_beating, apply_edit
 from tests.core.conftest import SMALL, make_run, small_method
+from tests.forked import trainer
 
 
-def spawn(folder: RunFolder, *arguments: str, **options: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "morph_core.train", "--run", str(folder.path), *arguments]
-    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **options)  # pyright: ignore
-
-
-def train(folder: RunFolder, *arguments: str) -> History:
-    trainer = spawn(folder, *arguments)
-    _, errors = trainer.communicate(timeout=200)
-    assert trainer.returncode == 0, errors
+def trained(folder: RunFolder, *words: str) -> History:
+    process = trainer(folder, *words)
+    assert process.wait() == 0, process.said("errors")
     return History(folder)
 
 
@@ -55,7 +50,7 @@ def wait_for(history: History, claim: Callable[[], bool], seconds: float = 60) -
 
 def test_a_run_ends_finished_with_evaluations_rollouts_and_checkpoints(tmp_path: Path) -> None:
     folder = make_run(tmp_path)
-    history = train(folder)
+    history = trained(folder)
     assert history.status == "finished"
     assert [p.iteration for p in history.progress] == [1, 2, 3, 4, 5, 6]
     assert [e.iteration for e in history.evaluations] == [2, 4, 6]
@@ -153,7 +148,7 @@ def test_the_end_that_a_budget_sets_is_foreseen(tmp_path: Path, monkeypatch: pyt
 
 def test_how_often_a_run_is_evaluated_does_not_change_what_is_learnt(tmp_path: Path) -> None:
     often, seldom = (
-        train(
+        trained(
             make_run(
                 tmp_path, f"every-{interval}", small_method("morph", {"evaluation.interval": interval}), iterations=3
             )
@@ -167,7 +162,7 @@ def test_how_often_a_run_is_evaluated_does_not_change_what_is_learnt(tmp_path: P
 def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
     folder.send(protocol.Pause())
-    trainer = spawn(folder)
+    process = trainer(folder)
     history = History(folder)
     wait_for(history, lambda: history.status == "paused")
     sent: list[tuple[AnyCommand, bool]] = [
@@ -191,16 +186,16 @@ def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp
     first = history.progress[0]
     assert (first.alpha, first.projection, first.phi[1]) == (3.5, "one_sided", 1.25)
     assert 1.0 <= first.phi[0] <= 2.0
-    trainer.kill()
-    trainer.wait()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
 
-    trainer = spawn(folder)
-    wait_for(history, lambda: beats_of(folder) == trainer.pid and history.status == "paused")
+    process = trainer(folder)
+    wait_for(history, lambda: beats_of(folder) == process.pid and history.status == "paused")
     assert history.iteration == 1
     folder.send(protocol.Resume())
     wait_for(history, lambda: history.iteration >= 3)
     folder.send(protocol.Stop())
-    assert trainer.wait(30) == 0
+    assert process.wait(30) == 0
     history.poll()
     assert history.status == "stopped"
     assert (history.progress[-1].alpha, history.progress[-1].projection) == (3.5, "one_sided")
@@ -214,14 +209,14 @@ def test_a_paused_run_that_a_cluster_ends_comes_back_paused_until_a_user_lets_it
     folder.send(protocol.StepIteration())
     history = History(folder)
     for _ in range(2):
-        trainer = spawn(folder)
-        wait_for(history, lambda: beats_of(folder) == trainer.pid and history.status == "paused")  # noqa: B023
-        trainer.terminate()  # preempted, or the time limit: nobody has said Stop
-        assert trainer.wait(30) == 0
+        process = trainer(folder)
+        wait_for(history, lambda: beats_of(folder) == process.pid and history.status == "paused")  # noqa: B023
+        process.send_signal(signal.SIGTERM)  # preempted, or the time limit: nobody has said Stop
+        assert process.wait(30) == 0
         history.poll()
         assert (history.status, history.iteration) == ("stopped", 1)
     folder.send(protocol.Resume())
-    assert train(folder).status == "finished"
+    assert trained(folder).status == "finished"
 
 
 @pytest.mark.parametrize(
@@ -246,13 +241,13 @@ def test_a_pause_holds_until_the_run_is_resumed_or_stopped(
 
 def test_a_steered_run_can_be_replayed_from_its_log(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
-    trainer = spawn(folder)
+    process = trainer(folder)
     history = History(folder)
     edits = (protocol.SetAlpha(4.0), protocol.Lock("link_5"), protocol.SetBound("link_1", 0.5, 2.0), protocol.Stop())
     for number, edit in enumerate(edits, 1):
         folder.send(edit)
         wait_for(history, lambda number=number: len(history.acknowledged) == number)
-    assert trainer.wait(30) == 0
+    assert process.wait(30) == 0
     history.poll()
 
     task = make_task("reacher")
@@ -269,11 +264,11 @@ def test_a_steered_run_can_be_replayed_from_its_log(tmp_path: Path) -> None:
 
 def test_a_signal_stops_cleanly_and_leaves_a_resumable_run(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
-    trainer = spawn(folder)
+    process = trainer(folder)
     history = History(folder)
     wait_for(history, lambda: history.iteration >= 1)
-    trainer.send_signal(signal.SIGINT)
-    assert trainer.wait(30) == 0
+    process.send_signal(signal.SIGINT)
+    assert process.wait(30) == 0
     history.poll()
     assert history.status == "stopped"
     assert folder.checkpoint_iterations()[-1] == history.iteration
@@ -281,23 +276,23 @@ def test_a_signal_stops_cleanly_and_leaves_a_resumable_run(tmp_path: Path) -> No
 
 def test_the_warnings_of_a_cluster_do_not_end_a_trainer(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
-    trainer = spawn(folder)
+    process = trainer(folder)
     history = History(folder)
     wait_for(history, lambda: history.iteration >= 1)
     for number in (signal.SIGUSR1, signal.SIGUSR2):
-        trainer.send_signal(number)
+        process.send_signal(number)
     reached = history.iteration
     wait_for(history, lambda: history.iteration >= reached + 2)
     assert history.status == "running"
-    trainer.terminate()
-    assert trainer.wait(30) == 0
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(30) == 0
 
 
 def test_the_processor_is_recorded_at_each_start(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=2)
-    train(folder)
-    plain = spawn(folder, "--further", "1", env={**os.environ, "ATEN_CPU_CAPABILITY": "default"})
-    plain.communicate(timeout=100)
+    trained(folder)
+    command = [sys.executable, "-m", "morph_core.train", "--run", str(folder.path), "--further", "1"]
+    subprocess.run(command, env={**os.environ, "ATEN_CPU_CAPABILITY": "default"}, check=True, timeout=100)
     history = History(folder)
     first, second = (e for e in history.events if isinstance(e, StateChanged) and e.status == "starting")
     assert first.processor == second.processor != ""
@@ -310,9 +305,10 @@ def test_the_processor_is_recorded_at_each_start(tmp_path: Path) -> None:
 def test_until_is_the_last_iteration_however_often_a_trainer_is_started(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=2)
     for _ in range(2):
-        assert train(folder, "--until", "5").iteration == 5
-    wrong = spawn(folder, "--until", "0")
-    assert "--until must be at least 1" in wrong.communicate(timeout=60)[1]
+        assert trained(folder, "--until", "5").iteration == 5
+    wrong = trainer(folder, "--until", "0")
+    assert wrong.wait() == 2
+    assert "--until must be at least 1" in wrong.said("errors")
 
 
 def test_what_a_trainer_says_reaches_the_disk_while_it_learns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -325,25 +321,22 @@ def test_what_a_trainer_says_reaches_the_disk_while_it_learns(tmp_path: Path, mo
 
 def test_a_second_trainer_on_one_folder_is_refused(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
-    first = spawn(folder)
+    first = trainer(folder)
     history = History(folder)
     wait_for(history, lambda: history.iteration >= 1)
-    second = spawn(folder)
-    _, errors = second.communicate(timeout=60)
-    assert second.returncode == 2
-    assert "held by another trainer" in errors
-    nowhere = spawn(RunFolder(tmp_path))
-    nowhere.communicate(timeout=60)
-    assert nowhere.returncode == 1, "2 is for a run that will be free once its trainer has ended"
-    first.terminate()
+    second = trainer(folder)
+    assert second.wait() == 2
+    assert "held by another trainer" in second.said("errors")
+    nowhere = trainer(RunFolder(tmp_path))
+    assert nowhere.wait() == 1, "2 is for a run that will be free once its trainer has ended"
+    first.send_signal(signal.SIGTERM)
     assert first.wait(30) == 0
 
 
 def test_a_failure_is_said_with_its_reason(tmp_path: Path) -> None:
     folder = make_run(tmp_path, method=small_method("morph", {"ppo.learning_rate": 1e30}))
-    trainer = spawn(folder)
-    trainer.communicate(timeout=100)
-    assert trainer.returncode == 1
+    process = trainer(folder)
+    assert process.wait() == 1
     history = History(folder)
     assert history.status == "failed"
     assert "NaN" in history.message
@@ -351,12 +344,8 @@ def test_a_failure_is_said_with_its_reason(tmp_path: Path) -> None:
 
 def test_a_disk_that_is_full_pauses_the_run_and_loses_nothing(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
-
-    def small_files() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, resource.RLIM_INFINITY))
-
-    trainer = spawn(folder, preexec_fn=small_files)
+    process = trainer(folder)
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (30_000, resource.RLIM_INFINITY))
     history = History(folder)
     wait_for(history, lambda: history.status == "paused")
     assert "disk does not take" in history.message
@@ -364,13 +353,13 @@ def test_a_disk_that_is_full_pauses_the_run_and_loses_nothing(tmp_path: Path) ->
     assert told.endswith(b"\n")
     time.sleep(1.2)
     assert folder.events.read_bytes() == told
-    resource.prlimit(trainer.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     reached = history.iteration
     wait_for(history, lambda: history.iteration > reached + 2)
     assert folder.events.read_bytes().startswith(told)
     assert [e.seq for e in history.events] == list(range(1, len(history.events) + 1))
-    trainer.terminate()
-    assert trainer.wait(30) == 0
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(30) == 0
 
 
 def test_a_trainer_in_reserve_starts_at_a_word_and_goes_when_nobody_needs_it(tmp_path: Path) -> None:
@@ -388,23 +377,23 @@ def test_a_trainer_in_reserve_starts_at_a_word_and_goes_when_nobody_needs_it(tmp
 @pytest.mark.slow
 def test_further_goes_beyond_a_finished_run(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=2)
-    train(folder)
-    assert train(folder, "--further", "3").iteration == 5
-    assert train(make_run(tmp_path, "whole", iterations=5)).phi.tolist() == History(folder).phi.tolist()
+    trained(folder)
+    assert trained(folder, "--further", "3").iteration == 5
+    assert trained(make_run(tmp_path, "whole", iterations=5)).phi.tolist() == History(folder).phi.tolist()
 
 
 @pytest.mark.parametrize("method", ["morph", "cmaes_rl", "direct", "no_hw_opt", "transform2act", "value_gradient"])
 @pytest.mark.slow
 def test_killed_and_resumed_is_bitwise_the_run_that_was_not(tmp_path: Path, method: str) -> None:
-    whole = train(make_run(tmp_path, "whole", small_method(method), seed=3, iterations=12))
+    whole = trained(make_run(tmp_path, "whole", small_method(method), seed=3, iterations=12))
     folder = make_run(tmp_path, "killed", small_method(method), seed=3, iterations=12)
     history = History(folder)
     for reached in (1, 3, 6, 9):
-        trainer = spawn(folder)
+        process = trainer(folder)
         wait_for(history, lambda reached=reached: history.iteration >= reached)
-        os.kill(trainer.pid, signal.SIGKILL)
-        trainer.wait()
-    train(folder)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    trained(folder)
     history.poll()
     assert [p.iteration for p in history.progress] == list(range(1, 13))
     assert [p.phi for p in history.progress] == [p.phi for p in whole.progress]

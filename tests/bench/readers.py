@@ -1,0 +1,90 @@
+"""How many random designs read alike in every reader: 100 of each task, corners included, every file of the robot.
+
+The readers of this environment are asked by the functions that test the bundle. Other interpreters (Drake, urchin,
+older MuJoCos) are given a folder of URDFs with what the simulated robots say: `--beside PATH/python`, several times.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import tyro
+
+from morph_core.catalogue import TASKS, make_task
+from morph_core.task import Task
+from studio.export.bundle import robot_files
+from studio.export.proof import unpack
+from studio.export.urdf import urdf_names
+from studio.export.zero import zero_of
+from studio.robots.chooser import robot_of
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "studio"))
+
+from test_export_proof import corners, faults_of, random_design
+
+POSTURES = 5
+
+
+@dataclass(frozen=True)
+class Readers:
+    """How many designs, and which other interpreters read them."""
+
+    designs: int = 100
+    """Designs of each task; the corners are the first of them."""
+    tasks: tuple[str, ...] = tuple(sorted(TASKS))
+    seed: int = 0
+    beside: list[Path] = field(default_factory=list)
+    """Interpreters that can import Drake, urchin or MuJoCo; each reads with all that it has."""
+
+
+def expected(task: Task, phi: np.ndarray) -> dict[str, object]:
+    """Return what the simulated robot says: masses [kg], limits [rad or m], places [m] of bodies in random postures."""
+    model = task.spec(phi).compile()
+    zero, names, rng = zero_of(model, robot_of(task).zero(phi)), urdf_names(model).joints, np.random.default_rng(1)
+    data, postures = mujoco.MjData(model), []
+    bodies = [model.body(b).name for b in range(1, model.nbody)]
+    for _ in range(POSTURES):
+        lo, hi = np.where(model.jnt_limited[:, None], model.jnt_range, [-3.0, 3.0]).T
+        data.qpos[: model.njnt] = rng.uniform(lo, hi)
+        mujoco.mj_kinematics(model, data)
+        q = dict(zip(names, (data.qpos[: model.njnt] - zero[: model.njnt]).tolist(), strict=True))
+        postures.append({"q": q, "places": dict(zip(bodies, data.xpos[1:].tolist(), strict=True))})
+    limits = {names[j]: (model.jnt_range[j] - zero[j]).tolist() for j in range(model.njnt) if model.jnt_limited[j]}
+    return {
+        "masses": dict(zip(bodies, model.body_mass[1:].tolist(), strict=True)), "limits": limits, "postures": postures,
+    }  # fmt: skip
+
+
+def main(options: Readers) -> int:
+    """Read every design with every reader, print the faults and how many designs were read alike."""
+    failed = 0
+    with tempfile.TemporaryDirectory() as place:
+        for name in options.tasks:
+            task, rng, faulty = make_task(name), np.random.default_rng(options.seed), 0
+            chosen = [phi for phi in corners(task) if task.buildable(phi)]
+            chosen += [random_design(task, rng) for _ in range(options.designs - len(chosen))]
+            for number, phi in enumerate(chosen):
+                faults = faults_of(task, phi)
+                faulty += bool(faults)
+                for fault in faults:
+                    print(f"{name} {number}: {fault}", flush=True)
+                folder = Path(place) / f"{name}_{number:03d}"
+                unpack(robot_files(task, phi, robot_of(task).parts(phi), ("mjcf", "urdf")), folder)
+                (folder / "robot.txt").write_text(robot_of(task).file_name)
+                (folder / "expected.json").write_text(json.dumps(expected(task, phi)))
+            print(f"{name}: {len(chosen) - faulty} of {len(chosen)} designs alike in this environment", flush=True)
+            failed += faulty
+        program = Path(__file__).with_name("reader.py")
+        for python in options.beside:
+            ended = subprocess.run([python, program, place], check=False)
+            failed += ended.returncode
+    return min(failed, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Readers)))
