@@ -16,7 +16,8 @@ from typing import Any
 import msgspec
 import psutil
 import zstandard
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 
 TOKEN = "bench-token-of-more-than-enough-length"
 CAMERA = {
@@ -59,7 +60,7 @@ def post(base: str, path: str, body: dict[str, object]) -> dict[str, object]:
 
 
 @contextlib.contextmanager
-def visit(port: int) -> Iterator[ClientConnection]:
+def visit(port: int) -> Iterator[Connection]:
     """Open the viewer of a server as a browser does."""
     with connect(
         f"ws://127.0.0.1:{port}/viewer",
@@ -75,7 +76,7 @@ def visit(port: int) -> Iterator[ClientConnection]:
 class Browser:
     """The messages of a viewer, as a browser takes them in."""
 
-    def __init__(self, connection: ClientConnection) -> None:
+    def __init__(self, connection: Connection) -> None:
         self._connection = connection
         self._waiting: deque[dict[str, Any]] = deque()
         self.labels: dict[str, tuple[str, dict[str, Any]]] = {}
@@ -99,7 +100,8 @@ class Browser:
 
     def receive(self, timeout: float | None = None) -> list[dict[str, Any]]:
         """Wait for the messages that come next, all at once, and return them."""
-        batch = bytes(self._connection.recv(timeout))
+        batch = self._connection.recv(timeout)
+        assert isinstance(batch, bytes)
         size = int.from_bytes(batch[8:16], "little")
         messages = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(batch[16 : 16 + size]))["messages"]
         for message in messages:

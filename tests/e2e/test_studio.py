@@ -130,7 +130,7 @@ def test_a_person_starts_watches_steers_and_downloads_a_run(server: Server, page
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     frame = open_studio(page, server)
-    assert robot_of(frame)
+    wait_for("the initial design", lambda: robot_of(frame), 20)
 
     press(frame, "Start")
     wait_for("a run folder", lambda: any(server.runs.glob("*/run.json")), 10)
