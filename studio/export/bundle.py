@@ -317,7 +317,7 @@ def _design(history: History, task: Task, which: str, iteration: int, phi: np.nd
         design=which,
         iteration=iteration,
         parameters=parameters,
-        parts=[PartEntry(part.name, list(part.links), part.inertial.mass) for part in parts],
+        parts=[PartEntry(part.name, list(part.links), part.inertial.mass, part.density) for part in parts],
     )
 
 

@@ -32,7 +32,7 @@ def bill_of_materials(parts: Sequence[Part], robot: Robot) -> bytes:
         size = " x ".join(f"{s:.1f}" for s in part.size)
         note = "longer than common printers: print it in pieces" if part.size.max() > 350 else ""
         writer.writerow([
-            part.name, part.quantity, " ".join(part.links), part.stl_path, "PLA, infill 100%",
+            part.name, part.quantity, " ".join(part.links), part.stl_path, f"PLA, infill {part.infill:.0%}",
             f"{1000 * part.inertial.mass:.2f}", size, note,
         ])  # fmt: skip
     writer.writerows(robot.bought(parts))

@@ -7,8 +7,10 @@ import numpy as np
 
 from morph_core.task import Task
 from morph_core.tasks.hand import Hand
+from morph_core.tasks.printed import link_inertial, palm_inertial
 from morph_core.tasks.simulation import SUBSTEPS
 from studio.robots import bolted, geometry
+from studio.robots.geometry import PALM, SIZES
 from studio.robots.parts import MILLIMETRE, Part, parts_of
 from studio.robots.robot import Bought, Program
 from studio.robots.units import speeds_of, units_of
@@ -31,12 +33,18 @@ class HandRobot:
     def parts(self, phi: np.ndarray) -> list[Part]:
         """Return palm and links of a design (d,); ValueError for one that can't be put together."""
         self.task.check_buildable(phi)
-        n, hand = self.hand.fingers, self.hand
-        solids = {"palm": geometry.palm(tuple(float(a) for a in hand.base_angles + phi[:n]), hand.servo)}
-        for i, length in enumerate(phi[n:], start=1):
-            solids[f"finger_{i}_proximal"] = geometry.link("proximal", float(length) / MILLIMETRE)
-            solids[f"finger_{i}_distal"] = geometry.link("distal", float(length) / MILLIMETRE)
-        return parts_of(solids)
+        angles, lengths = self.hand.base_angles + phi[: self.hand.fingers], phi[self.hand.fingers :]
+        joints = [SIZES.joint(float(length) / MILLIMETRE) for length in lengths]
+        most = SIZES.radius if self.hand.servo == "none" else PALM.servo_joint
+        shoulders = [min(joint, most) for joint in joints]
+        drawn = {"palm": geometry.palm(tuple(angles.tolist()), tuple(shoulders), self.hand.servo)}
+        masses = {"palm": palm_inertial(angles, self.hand.servo).mass}
+        for i, length in enumerate(lengths.tolist(), start=1):
+            joint = joints[i - 1]
+            for kind, root, start in (("proximal", "palm", shoulders[i - 1]), ("distal", "link", joint)):
+                drawn[f"finger_{i}_{kind}"] = geometry.link(kind, length / MILLIMETRE, start, joint, root)
+                masses[f"finger_{i}_{kind}"] = link_inertial(kind, length).mass
+        return parts_of(drawn, masses)
 
     def bought(self, parts: Sequence[Part]) -> list[Bought]:
         """Return bolts, pins and what drives the fingers."""

@@ -76,7 +76,7 @@ def design_in(task: Task, parts: Sequence[Part]) -> Design:
     """Return a design of a task as a bundle has it, as far as its robot is concerned."""
     return Design(
         task=task.name, task_options={}, robot=robot_of(task).file_name, run="", design="", iteration=0, parameters=[],
-        parts=[PartEntry(part.name, list(part.links), part.inertial.mass) for part in parts],
+        parts=[PartEntry(part.name, list(part.links), part.inertial.mass, part.density) for part in parts],
     )  # fmt: skip
 
 
