@@ -58,6 +58,9 @@ class PlaybackPanel:
                 "contact forces", False,
                 hint="Arrows at the end of each control step: the force on the object, or by the table on the hand",
             )  # fmt: skip
+        self._controls = self.play, self.frame, self.time, self.speed, self.loop
+        for handle in (*self._controls, self.episode, self.forces):
+            handle.visible = False
         self.episode.on_update(lambda event: self._choose(event.client) if event.client else None)
         self.play.on_click(lambda _: self.toggle_playback())
         self.frame.on_click(lambda event: self.step(-1 if event.target.value == "◂ back" else 1))
@@ -99,7 +102,7 @@ class PlaybackPanel:
             self.none.visible = not there
             self.episode.visible = there and take.shot.episode is not None
             self.forces.visible = there and take.has_forces
-            for handle in (self.play, self.frame, self.time, self.speed, self.loop):
+            for handle in self._controls:
                 handle.visible = there
             self.time.max = max(round(duration, 2), 0.01)
         self.time.value = min(round(seconds, 2), self.time.max)
