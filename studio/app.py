@@ -128,6 +128,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
             answers=what_ifs,
             family=lambda run_id: tree_of(run_id, runs.parents()),
             album=album,
+            others=runs,
         )
         if 0 < client.camera.image_width < NARROW_PAGE:
             viewer.playback.panel.minimize()  # with the column in which it stands
