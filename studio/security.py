@@ -22,6 +22,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from studio.seldom import Seldom
 from studio.settings import Settings
+from studio.visits import is_visit
 
 _log = logging.getLogger(__name__)
 OPEN_PATHS = frozenset({"/healthz"})
@@ -171,7 +172,7 @@ class Guard:
 
     def _answer(self, scope: Scope) -> Response | None:
         """Return the refusal, the cookie for a good link, or None where the request may pass."""
-        headers, path = Headers(scope=scope), scope["path"]
+        headers, path = Headers(scope=scope), scope["path"].removeprefix(scope.get("root_path", ""))
         why = self.access.refusal(headers)
         if why:
             return JSONResponse({"detail": why}, 403)
@@ -185,12 +186,13 @@ class Guard:
             )
         known = self.access.knows(headers, address)
         if path in PAGES and scope["method"] in ("GET", "HEAD"):
-            if ticket and (known or self.access.redeem(ticket)):
-                return self._enter(scope)
+            visit = is_visit(scope["method"], headers)
+            if ticket and (known or (visit and self.access.redeem(ticket))):
+                return self._enter(scope, path)
             if not known:
-                if ticket:
+                if ticket and visit:
                     self.access.guesses.note(address)
-                return _login_page(path, bool(ticket), headers.get("sec-fetch-site") == "cross-site")
+                return _login_page(path, bool(ticket) and visit, headers.get("sec-fetch-site") == "cross-site")
         if known:
             return None
         return JSONResponse(
@@ -199,8 +201,9 @@ class Guard:
             {"WWW-Authenticate": "Bearer"},
         )
 
-    def _enter(self, scope: Scope) -> Response:
-        response = RedirectResponse(scope["path"], 303)
+    def _enter(self, scope: Scope, path: str) -> Response:
+        """Return the cookie and the way to the page, relative: proxies cut off a prefix, or put one before it."""
+        response = RedirectResponse(f".{path}", 303)
         response.set_cookie(
             self.access.cookie_name,
             self.access.cookie,
@@ -303,7 +306,7 @@ def _login_page(path: str, tried: bool, from_elsewhere: bool) -> Response:
     A link followed from another site arrives without its SameSite=Strict cookie, even right after it was set: one
     reload from this page itself brings it along.
     """
-    again = f'<meta http-equiv="refresh" content="0;url={path}">' if from_elsewhere else ""
+    again = f'<meta http-equiv="refresh" content="0;url=.{path}">' if from_elsewhere else ""
     reason = (
         "That token does not fit, or its link was used already (each link works once; the newest is in the terminal)."
         if tried
