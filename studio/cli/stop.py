@@ -9,6 +9,7 @@ import tyro
 from morph_core.protocol import Kill, Stop
 from studio.cli.arguments import RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import open_run
+from studio.cli.output import say
 from studio.log import sender_here
 from studio.overdue import KILL_OFFERED_AFTER
 from studio.runs import Runs
@@ -34,10 +35,10 @@ def main(words: Sequence[str]) -> int:
     except ValueError as error:
         raise UsageError(f"stop: {error}") from error
     if number:
-        print(  # noqa: T201
+        say(
             f"{folder.id} stops after its iteration; where it has not after {KILL_OFFERED_AFTER:.0f} s: "
             f"morph-studio stop {folder.id} --kill"
         )
     else:
-        print(f"{folder.id} is ended; to go on: morph-studio train --resume {folder.id}")  # noqa: T201
+        say(f"{folder.id} is ended; to go on: morph-studio train --resume {folder.id}")
     return 0
