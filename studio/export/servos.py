@@ -132,6 +132,7 @@ def servo_table(
     """
     rows: dict[ServoName, list[Row]] = {name: [_row(need, sheet) for need in needs] for name, sheet in SERVOS.items()}
     enough: dict[ServoName, int] = {name: sum(not row.faults for row in found) for name, found in rows.items()}
+    servo: ServoName
     if wanted is not None:
         servo, chosen = wanted, "as asked"
     elif limits != "none":
