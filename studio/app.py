@@ -107,8 +107,15 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
     def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
         return runs.start(_branch(runs.get(run_id), iteration, phi))
 
-    def on_export(run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None) -> Bundle:
-        return build_bundle(runs.get(run_id), which, formats, phi)
+    def on_export(
+        run_id: str,
+        which: str,
+        formats: Sequence[str] | None,
+        phi: list[float] | None,
+        servo: str | None,
+        printer: str | None,
+    ) -> Bundle:
+        return build_bundle(runs.get(run_id), which, formats, phi, servo, printer)
 
     def make(client: viser.ClientHandle) -> Viewer:
         viewer = Viewer(
@@ -121,6 +128,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
             answers=what_ifs,
             family=lambda run_id: tree_of(run_id, runs.parents()),
             album=album,
+            others=runs,
         )
         if 0 < client.camera.image_width < NARROW_PAGE:
             viewer.playback.panel.minimize()  # with the column in which it stands

@@ -154,6 +154,10 @@ class Runs:
         )
         return lines + [Summary(id=name, status="unreadable", reason=why) for name, why in refused]
 
+    def of_task(self, task: str) -> dict[str, str]:
+        """Return what people call each run of a task that can be read, or "", by the run's own name, newest first."""
+        return {s.id: s.marks.name for s in self.summaries() if s.task == task and s.status != "unreadable"}
+
     def rows(self, names: Collection[str] | None = None) -> list[Row]:
         """Return all runs with what they have come to, newest first; or, of those with these names, all there are."""
         return [self._row(line) for line in self.summaries(names)]

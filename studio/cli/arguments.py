@@ -14,6 +14,7 @@ from typing import Annotated, TypeVar
 
 import tyro
 
+from morph_core.config import guess
 from studio.settings import at_home, default_runs
 
 T = TypeVar("T")
@@ -119,7 +120,7 @@ def _choices(match: re.Match[str]) -> str:
     allowed = said.replace("'", "").split(", ")
     if "None" in allowed:  # a flag that may be left out: what it can be comes in no order
         allowed = sorted({*allowed} - {"None"})
-    return f'{flag} can\'t be "{value}"; choose from: {", ".join(allowed)}'
+    return f'{flag} can\'t be "{value}"{guess(value, allowed)}; choose from: {", ".join(allowed)}'
 
 
 _PLAIN = (

@@ -20,7 +20,7 @@ from studio.cli.choice import check_design, open_run
 from studio.cli.export import DesignName
 from studio.cli.output import complain, write_json
 from studio.evaluator import Evaluator, EvaluatorError
-from studio.what_if import POINTS, SweepPoint, WhatIfs, Wish, phi_of, policy_note
+from studio.what_if import POINTS, Policy, SweepPoint, WhatIfs, Wish, phi_of, policy_note
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,11 @@ class EvaluateArguments(RunsArguments):
     """File of another design to measure with the same policy: a design.json, or an export that holds one."""
     sensitivity: bool = False
     """Measure along each parameter instead: 9 values across the task's own box, all others as in the design."""
+    policy: Policy = "sampled"
+    """Policy that is measured along each parameter; of a single design both are."""
     episodes: Count = 100
-    """Number of episodes for the sampled policy, and as many for the deterministic one; along each parameter, for the
-    sampled policy at each value."""
+    """Number of episodes for the sampled policy, and as many for the deterministic one; along each parameter, at each
+    value."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -54,7 +56,8 @@ def main(words: Sequence[str]) -> int:
     check_design(history, arguments.design)
     phi = _other_phi(history, arguments)
     if arguments.sensitivity:
-        return _sweep(history, Wish(design=arguments.design, phi=phi, episodes=arguments.episodes), arguments.json)
+        wish = Wish(design=arguments.design, phi=phi, episodes=arguments.episodes, policy=arguments.policy)
+        return _sweep(history, wish, arguments.json)
     done = _evaluate(history.folder.path, arguments.design, arguments.episodes, phi)
     if done.returncode:
         reason = done.stderr.strip().splitlines()[-1:] or [f"it ended with {done.returncode}"]
@@ -135,11 +138,11 @@ def _sweep(history: History, wish: Wish, as_json: bool) -> int:
     if as_json:
         write_json({"run": history.folder.id, "points": found})
     else:
-        _print_sweep(found, wish.episodes)
+        _print_sweep(found, wish)
     return 0
 
 
-def _print_sweep(points: Sequence[SweepPoint], episodes: int) -> None:
+def _print_sweep(points: Sequence[SweepPoint], wish: Wish) -> None:
     """Print a line for each value: success and return, each with its interval."""
     from rich.table import Table
 
@@ -159,7 +162,7 @@ def _print_sweep(points: Sequence[SweepPoint], episodes: int) -> None:
         table.add_row(point.parameter if first else "", f"{point.value:.4g} {point.unit}".rstrip(), *cells)
     console = make_console()
     console.print(table)
-    console.print(f"sampled policy, {episodes} episodes on Hw-Phy at each value", soft_wrap=True)
+    console.print(f"{wish.policy} policy, {wish.episodes} episodes on Hw-Phy at each value", soft_wrap=True)
 
 
 def _evaluate(folder: Path, design: str, episodes: int, phi: list[float] | None) -> subprocess.CompletedProcess[str]:

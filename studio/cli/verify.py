@@ -12,7 +12,7 @@ from studio.cli.output import write_json
 
 NOT_PROVED = (
     "Not proved: who made the bundle and when (its digests come with it), how its shapes that are only shown look, and "
-    "what README.txt, report.html, BOM.csv and control.json say."
+    "what README.txt, report.html, BOM.csv, servos.json and control.json say."
 )
 """What a bundle on which all checks agree may be wrong in all the same."""
 

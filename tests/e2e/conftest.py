@@ -8,6 +8,8 @@ import pytest
 from playwright.sync_api import Page, sync_playwright
 from served import Server
 
+from tests.studies import Made, write_study
+
 # Headless WebGL without a GPU; the rest keeps Chromium from talking to anyone but the server under test.
 FLAGS = [
     "--no-sandbox",
@@ -36,6 +38,13 @@ def chromium() -> str:
     path = shutil.which("chromium")
     assert path, "these tests need Debian's chromium: apt-get install chromium"
     return path
+
+
+@pytest.fixture
+def runs(server: Server) -> Path:
+    """Fill the folder of the server with two runs of ten iterations."""
+    write_study(server.runs, [Made("direct", "direct")], [0, 1], iterations=10)
+    return server.runs
 
 
 @pytest.fixture
