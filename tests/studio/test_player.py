@@ -161,7 +161,7 @@ def test_playback_pauses_seeks_and_loops(
     assert eventually(lambda: not player.playing)
     assert eventually(lambda: player._robot._instant == round(0.19 * FRAMES))
     assert playback.play.label == "Play"
-    assert player._contact.node_names == ["/contact/sphere"]
+    assert eventually(lambda: player._contact.node_names == ["/contact/sphere"])
 
 
 def test_values_from_the_wire_beyond_their_slider_are_refused(
