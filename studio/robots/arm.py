@@ -8,10 +8,11 @@ import numpy as np
 
 from morph_core.task import Task
 from morph_core.tasks.printed import arm_link_inertial
+from morph_core.tasks.servos import ServoLimits, ServoName
 from studio.robots import bolted, geometry
 from studio.robots.geometry import ARM
 from studio.robots.parts import BASE, MILLIMETRE, Part, parts_of
-from studio.robots.robot import Bought, Program
+from studio.robots.robot import Bought, Program, Quantity
 from studio.robots.units import speeds_of, units_of
 
 
@@ -25,6 +26,9 @@ class ArmRobot:
     printed = True
     has_parts = True
     about_parts = bolted.ABOUT_PARTS
+    servo_joints = ()
+    servo_limits: ServoLimits = "none"
+    about_servos = ""
 
     def parts(self, phi: np.ndarray) -> list[Part]:
         """Return foot and links of a design (d,); ValueError for one that can't be put together."""
@@ -40,7 +44,7 @@ class ArmRobot:
             masses[f"link_{i}"] = arm_link_inertial(kind, length).mass
         return parts_of(drawn, masses)
 
-    def bought(self, parts: Sequence[Part]) -> list[Bought]:
+    def bought(self, phi: np.ndarray, parts: Sequence[Part], servo: ServoName | None) -> list[Bought]:
         """Return the pins and drives of the joints."""
         return [bolted.pins(parts, ARM), bolted.drives(parts)]
 
@@ -55,4 +59,7 @@ class ArmRobot:
 
     def program(self, phi: np.ndarray) -> Program:
         """Return the program that runs the policy in MuJoCo's kinematics."""
-        return Program("run_arm.py", units_of(self.task))
+        links = range(1, self.task.action_size + 1)
+        turned = [Quantity(f"{wave} of the heading of link_{i}", "") for wave in ("sine", "cosine") for i in links]
+        joints, tip = [Quantity(f"joint_{i}", "rad") for i in links], [Quantity(f"tip {axis}", "m") for axis in "xy"]
+        return Program("run_arm.py", sees=[*turned, *joints, *tip], gives=joints, arrays=units_of(self.task))

@@ -1,11 +1,14 @@
 """What hand and arm share: links of PLA that turn round dowel pins, driven from outside."""
 
+import math
 from collections.abc import Sequence
 
 from morph_core.tasks.printed import DENSITY
 from studio.robots.geometry import SIZES, Sizes
-from studio.robots.parts import SKIN, Part
+from studio.robots.parts import MILLIMETRE, SKIN, Part
 from studio.robots.robot import Bought
+
+STEEL = 7850.0  # kg/m^3
 
 ABOUT_PARTS = f"""<p>PLA ({DENSITY:g} kg/m&sup3;), with walls, top and bottom of {SKIN:g} mm and the infill of the \
 table, with which a part weighs what is simulated; without supports, a link on the flat of its back, the palm on its \
@@ -21,13 +24,13 @@ def joints_of(parts: Sequence[Part]) -> int:
 
 def pins(parts: Sequence[Part], sizes: Sizes = SIZES) -> Bought:
     """Return the pins of links of these sizes."""
-    note = "press into the lugs; not in the masses"
-    return [
-        f"dowel pin {sizes.pin_diameter:g} x {sizes.pin_length:g} mm", joints_of(parts), "", "", "steel", "", "", note,
-    ]  # fmt: skip
+    mass = STEEL * math.pi / 4 * sizes.pin_diameter**2 * sizes.pin_length * MILLIMETRE**3
+    name = f"dowel pin {sizes.pin_diameter:g} x {sizes.pin_length:g} mm"
+    note = "press into the lugs; not in the masses that were simulated"
+    return Bought(name, joints_of(parts), material="steel", mass=mass, note=note)
 
 
 def drives(parts: Sequence[Part]) -> Bought:
     """Return the drives of the joints."""
     note = "not part of the design: control.json says which torque and gains were simulated"
-    return ["servo or tendon drive", joints_of(parts), "", "", "", "", "", note]
+    return Bought("servo or tendon drive", joints_of(parts), note=note)

@@ -132,6 +132,8 @@ _FAR = 1e3
 """mm: beyond every palm."""
 MARGIN = 0.01
 """rad: what links are free to turn beyond their limits, which a servo overshoots."""
+SHORTEST = 0.01
+"""mm: shorter edges are left out: files of single precision would tear the surface there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +146,7 @@ class Drilled:
     @cached_property
     def solid(self) -> Manifold:
         """The part as it is printed."""
-        return Manifold.batch_boolean([self.body, *self.tools], OpType.Subtract)
+        return Manifold.batch_boolean([self.body, *self.tools], OpType.Subtract).simplify(SHORTEST)
 
     @property
     def filling(self) -> Manifold:
@@ -178,6 +180,7 @@ def link(kind: LinkKind, length: float, start: float, end: float, root: Root, si
 
 @lru_cache(_LINKS)
 def drawn(kind: LinkKind, length: float, start: float, end: float, root: Root, sizes: Sizes) -> Drilled:
+    """Return a link as `link` does, of any length without stretching it."""
     bottom = (0, 0, -length)
     ball, profile = Manifold.sphere(sizes.radius, sizes.segments), _profile(length, sizes)
     body = Manifold.batch_hull([ball, ball.translate(bottom)]) ^ profile
@@ -235,10 +238,9 @@ def arm_base(joint: float) -> Drilled:
 
 
 def _profile(length: float, sizes: Sizes) -> Manifold:
-    """Return a link's section, a circle with flats, from above its joint to below its end."""
+    """Return an octagonal prism, whose sides are the flats of a link, from above its joint to below its end."""
     octagon = CrossSection.circle(sizes.half_width / math.cos(math.pi / 8), 8).rotate(22.5)
-    section = CrossSection.circle(sizes.radius, sizes.segments) ^ octagon
-    return section.extrude(length + 2 * sizes.radius).translate((0, 0, -length - sizes.radius))
+    return octagon.extrude(length + 4 * sizes.radius).translate((0, 0, -length - 2 * sizes.radius))
 
 
 def _room(length: float, sizes: Sizes, *, folds: bool) -> Manifold:
@@ -257,7 +259,7 @@ def _socket(joint: float, root: Root, sizes: Sizes) -> Manifold:
     """Return what is taken from a link for the lugs between which its tang turns, and for the neck of a foot."""
     wide = 2 * sizes.radius
     ball = Manifold.sphere(sizes.radius + sizes.gap, sizes.segments)
-    lugs = ball ^ _cylinder_y(joint + sizes.gap, 2 * wide, sizes)
+    lugs = ball if joint == sizes.radius else ball ^ _cylinder_y(joint + sizes.gap, 2 * wide, sizes)
     above = _corners((-wide, wide), 2 * wide, (-sizes.socket, wide))
     if root == "foot":  # it has a lug on one side only
         neck = _cylinder_y(NECK * joint + sizes.gap, 2 * wide, sizes)
@@ -265,6 +267,7 @@ def _socket(joint: float, root: Root, sizes: Sizes) -> Manifold:
     return (lugs - _corners((-wide, wide), sizes.tang, (-wide, wide))) + above
 
 
+@lru_cache(_LINKS)
 def _swept() -> Manifold:
     """Return what a finger at angle 0 needs of the palm to swing inward."""
     reach, far, start = SIZES.radius + SIZES.gap, 3 * SIZES.radius, SIZES.socket - SIZES.gap
@@ -274,11 +277,13 @@ def _swept() -> Manifold:
     return Manifold.batch_hull(turned).translate((PALM.radius, 0, 0))
 
 
+@lru_cache(_LINKS)
 def _mount(joint: float) -> Manifold:
     """Return what carries the pin of a finger at angle 0, without its slot."""
     return _disc(joint, 2 * SIZES.half_width, SIZES).translate((PALM.radius, 0, 0))
 
 
+@lru_cache(_LINKS)
 def _slot_of_mount(joint: float) -> Manifold:
     """Return what the tang of a finger at angle 0 needs of the palm."""
     return _cylinder_y(joint + SIZES.gap, _slot(SIZES), SIZES).translate((PALM.radius, 0, 0))
@@ -294,6 +299,7 @@ def _bolts(sizes: PalmSizes) -> list[Manifold]:
     return [cables, *(bolt.translate((sizes.bolt_circle / 2, 0, 0)).rotate((0, 0, 45 + 90 * i)) for i in range(4))]
 
 
+@lru_cache(_LINKS)
 def pocket() -> Manifold:
     """Return the holes for a servo, its screws and its tendon, for a finger at angle 0."""
     top, radius = PALM.high, PALM.servo_radius
@@ -308,7 +314,10 @@ def pocket() -> Manifold:
 
 def _disc(joint: float, width: float, sizes: Sizes) -> Manifold:
     """Return what of a joint's ball is within its radius of the pin, and `width` wide along it."""
-    return Manifold.sphere(sizes.radius, sizes.segments) ^ _cylinder_y(joint, width, sizes)
+    wide = 2 * sizes.radius
+    whole = joint == sizes.radius
+    slab = _corners((-wide, wide), width, (-wide, wide)) if whole else _cylinder_y(joint, width, sizes)
+    return Manifold.sphere(sizes.radius, sizes.segments) ^ slab
 
 
 def _turned(outline: list[tuple[float, float]], segments: int) -> Manifold:

@@ -54,9 +54,9 @@ class Viewer:
 
     `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)`,
     `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
-    one)` do what people ask for; they refuse by a ValueError, whose sentence is shown. `answers` say how good a policy
-    is on a changed design, `family(run_id)` is the tree in which a run stands, `album` has pictures and stars, and
-    `others` are all runs that a design may be compared with.
+    one, servo or None, printer or None)` do what people ask for; they refuse by a ValueError, whose sentence is shown.
+    `answers` say how good a policy is on a changed design, `family(run_id)` is the tree in which a run stands, `album`
+    has pictures and stars, and `others` are all runs that a design may be compared with.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Viewer:
         on_start: Callable[[StartRun], str],
         on_resume: Callable[[str], None],
         on_branch: Callable[[str, int, list[float]], str],
-        on_export: Callable[[str, str, Sequence[str] | None, list[float] | None], Bundle],
+        on_export: Callable[[str, str, Sequence[str] | None, list[float] | None, str | None, str | None], Bundle],
         answers: Answers,
         family: Callable[[str], Member | None],
         album: Album,
@@ -311,11 +311,11 @@ class Viewer:
             self.refuse(str(error), client)
         self._refresh()
 
-    def _export(self, which: str, formats: Sequence[str]) -> Bundle:
+    def _export(self, which: str, formats: Sequence[str], servo: str | None, printer: str | None) -> Bundle:
         run_id = self._selected
         if run_id is None:
             raise ValueError("there is no run to export from: start or choose one")
-        return self._on_export(run_id, which, formats, None)
+        return self._on_export(run_id, which, formats, None, servo, printer)
 
     def _branch(self, iteration: int, phi: list[float], client: viser.ClientHandle | None) -> None:
         run_id = self._selected
@@ -331,7 +331,7 @@ class Viewer:
         if run_id is None:
             return
         try:
-            bundle = self._on_export(run_id, str(iteration), None, phi)
+            bundle = self._on_export(run_id, str(iteration), None, phi, None, None)
         except (ValueError, OSError) as error:
             self.refuse(str(error), client)
         else:

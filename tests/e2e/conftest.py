@@ -33,6 +33,13 @@ def server(tmp_path: Path) -> Iterator[Server]:
         server.stop()
 
 
+def chromium() -> str:
+    """Return the path of the browser."""
+    path = shutil.which("chromium")
+    assert path, "these tests need Debian's chromium: apt-get install chromium"
+    return path
+
+
 @pytest.fixture
 def runs(server: Server) -> Path:
     """Fill the folder of the server with two runs of ten iterations."""
@@ -42,10 +49,8 @@ def runs(server: Server) -> Path:
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    chromium = shutil.which("chromium")
-    assert chromium, "these tests need Debian's chromium: apt-get install chromium"
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
         page = browser.new_page(viewport={"width": 1000, "height": 700})
         page.set_default_timeout(30_000)
         page.add_init_script("if (location.protocol === 'http:') localStorage.setItem('morph-tour', 'seen')")

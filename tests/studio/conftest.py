@@ -312,6 +312,8 @@ class Page:
     started: list[StartRun] = field(default_factory=list)
     resumed: list[str] = field(default_factory=list)
     exported: list[tuple[str, str, list[str]]] = field(default_factory=list)
+    servos: list[str] = field(default_factory=list)
+    printers: list[str | None] = field(default_factory=list)
     changed: list[list[float]] = field(default_factory=list)
     """Designs changed by hand that were exported."""
     branched: list[tuple[str, int, list[float]]] = field(default_factory=list)
@@ -347,8 +349,17 @@ def page() -> Iterator[Page]:
         heed(lambda: page.started.append(request))
         return NAME
 
-    def export(run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None) -> Bundle:
+    def export(
+        run_id: str,
+        which: str,
+        formats: Sequence[str] | None,
+        phi: list[float] | None,
+        servo: str | None,
+        printer: str | None,
+    ) -> Bundle:
         heed(lambda: page.exported.append((run_id, which, list(formats or []))))
+        page.servos += [servo] if servo else []
+        page.printers.append(printer)
         page.changed += [phi] if phi is not None else []
         return Bundle("design.zip", {"robot.xml": b"xml", "robot.urdf": b"urdf"}, [Check("masses", 0.0, 0.0)], b"zip")
 
@@ -438,7 +449,9 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     listener = socket.create_server(("127.0.0.1", 0))
     port = listener.getsockname()[1]
     app = create_app(settings, runs=Runs(settings.runs, spawn), desks=desks)
-    config = uvicorn.Config(app, log_level="error", ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1)
+    config = uvicorn.Config(
+        app, log_level="error", ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1, proxy_headers=False
+    )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
     thread.start()

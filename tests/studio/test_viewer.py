@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from conftest import NAME, Page, append, design_of, eventually, make_run, progress
+from conftest import NAME, Page, append, design_of, eventually, make_hand_run, make_run, progress
 
 from morph_core.protocol import (
     InjectDesign,
@@ -225,6 +225,30 @@ def test_the_chosen_design_is_exported_in_the_chosen_formats(page: Page, folder:
         (NAME, "best", everything), (NAME, "latest", everything), (NAME, "2", ["urdf", "stl"]),
     ]  # fmt: skip
     assert not export.notice.visible
+
+
+def test_a_servo_is_chosen_where_the_robot_takes_servos(page: Page, folder: RunFolder, tmp_path: Path) -> None:
+    export, hand = page.viewer.export, make_hand_run(tmp_path / "hands", "pen_press")
+    page.show(folder)
+    assert not export.servo.visible
+    page.show(hand)
+    assert export.servo.visible
+    export.submit()
+    export.servo.value = "XM430-W350"
+    assert not export.download.visible  # it was prepared without one
+    export.submit()
+    assert page.servos == ["XM430-W350"]
+
+
+def test_a_printer_is_asked_for_only_by_who_prints_on_another(page: Page, folder: RunFolder) -> None:
+    page.show(folder)
+    export = page.viewer.export
+    for word in ("prusa_xl", " 300x300x400 ", "", "256x256x256"):
+        export.printer.value = word
+        export.submit()
+    export.printer.value, export.formats["3mf"].value = "prusa_xl", False
+    export.submit()
+    assert page.printers == ["prusa_xl", "300x300x400", None, None, None]
 
 
 def test_what_was_compared_is_shown_and_a_change_of_mind_takes_it_away(page: Page, folder: RunFolder) -> None:
