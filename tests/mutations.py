@@ -735,8 +735,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/viewer/steer.py",
-        "studio/test_viewer.py::test_steering_sends_only_what_was_changed "
-        "studio/test_viewer.py::test_what_somebody_types_into_the_steering_form_stays_until_something_changes",
+        "studio/test_steering.py::test_steering_sends_only_what_was_changed "
+        "studio/test_steering.py::test_what_somebody_types_into_the_steering_form_stays_until_something_changes",
         ("if alpha != in_force[0] else []", ""),
         ("if in_force != self._in_force", "if True"),
     ),

@@ -1,6 +1,5 @@
 """`morph-studio export`: write a design for simulators, printers and people; checked before it is written."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import tyro
 from morph_core.tasks.servos import SERVOS
 from studio.cli.arguments import RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import check_design, open_run
+from studio.cli.output import complain, say
 
 DesignName = Annotated[str, tyro.conf.arg(metavar="best|latest|ITERATION")]
 
@@ -63,9 +63,9 @@ def main(words: Sequence[str]) -> int:
         bundle = build_bundle(history, arguments.design, formats, servo=arguments.servo, printer=printer)
         written = write_bundle(bundle, out)
     except ExportError as error:
-        print(f"morph-studio: export: {error}", file=sys.stderr)  # noqa: T201
+        complain(f"morph-studio: export: {error}")
         return 1
     if arguments.servo is not None and FILE in bundle.files:
-        print(servo_text(msgspec.json.decode(bundle.files[FILE], type=ServoTable)), file=sys.stderr)  # noqa: T201
-    print(written)  # noqa: T201
+        complain(servo_text(msgspec.json.decode(bundle.files[FILE], type=ServoTable)))
+    say(written)
     return 0
