@@ -56,6 +56,8 @@ BY_HAND = "changed by hand"
 """Words behind the name of a design that no run has recorded."""
 EPISODES = 32
 """Number of episodes that measure the policy's success on the exported files, for which an export may take 3 s."""
+_POINTS = 200
+"""Random points of each link at which the distance between print and collision shapes is measured."""
 _SHIPPED = Path(__file__).parent / "shipped"
 
 
@@ -254,8 +256,8 @@ def _papers(
     model = task.spec(phi).compile()
     more = [Section("Print it", prints_html(prints))] if prints else []
     if robot.printed:
-        measured = deviation(model, parts)
-        more.append(Section("Printed and simulated", f"<p>{escape(measured.words)}"))
+        measured = deviation(model, parts, points=_POINTS)
+        more.insert(0, Section("Printed and simulated", f"<p>{escape(measured.words)}"))
     if table:
         papers[servos.FILE] = _json(msgspec.to_builtins(table))
         more.append(Section("Servos", servo_html(table)))

@@ -301,6 +301,9 @@ def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundl
     assert 'src="http' not in page
     assert "data:image/png;base64," in page
     assert "lifted 75\N{NO-BREAK SPACE}%" in page
+    for heading in ("Printed and simulated", "Print it", "Servos", "Bill of materials"):
+        assert f"<h2>{heading}</h2>" in page
+    assert "The prints follow the collision shapes: they reach out of them by at most" in page
 
 
 def test_a_bundle_name_is_plain_whatever_the_run_is_called(bundle: Bundle) -> None:
