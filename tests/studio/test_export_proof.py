@@ -247,6 +247,10 @@ def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
     rows = bundle.files["BOM.csv"].decode().splitlines()
     assert any(row.startswith("finger_2_distal,3,finger_2_distal finger_3_distal finger_4_distal,") for row in rows)
     assert any(row.startswith("dowel pin 4 x 28 mm,8") for row in rows)
+    assert (
+        b"The prints follow the collision shapes: they reach out of them by at most 0.00 mm"
+        in bundle.files["report.html"]
+    )
     control = json.loads(bundle.files["control.json"])
     joint = control["joints"]["finger_1_distal_joint"]
     assert joint["zero"] == 0.25
@@ -297,6 +301,9 @@ def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundl
     assert 'src="http' not in page
     assert "data:image/png;base64," in page
     assert "lifted 75\N{NO-BREAK SPACE}%" in page
+    for heading in ("Printed and simulated", "Print it", "Servos", "Bill of materials"):
+        assert f"<h2>{heading}</h2>" in page
+    assert "The prints follow the collision shapes: they reach out of them by at most" in page
 
 
 def test_a_bundle_name_is_plain_whatever_the_run_is_called(bundle: Bundle) -> None:
