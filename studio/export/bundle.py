@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 
 import msgspec
@@ -253,12 +254,10 @@ def _papers(
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
     model = task.spec(phi).compile()
-    more = (
-        [Section("Printed and simulated", f"<p>{deviation(model, parts, points=_POINTS).words}")]
-        if robot.printed
-        else []
-    )
-    more += [Section("Print it", prints_html(prints))] if prints else []
+    more = [Section("Print it", prints_html(prints))] if prints else []
+    if robot.printed:
+        measured = deviation(model, parts, points=_POINTS)
+        more.insert(0, Section("Printed and simulated", f"<p>{escape(measured.words)}"))
     if table:
         papers[servos.FILE] = _json(msgspec.to_builtins(table))
         more.append(Section("Servos", servo_html(table)))

@@ -248,6 +248,10 @@ def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
     rows = bundle.files["BOM.csv"].decode().splitlines()
     assert any(row.startswith("finger_2_distal,3,finger_2_distal finger_3_distal finger_4_distal,") for row in rows)
     assert any(row.startswith("dowel pin 4 x 28 mm,8") for row in rows)
+    assert (
+        b"The prints follow the collision shapes: they reach out of them by at most 0.00 mm"
+        in bundle.files["report.html"]
+    )
     control = json.loads(bundle.files["control.json"])
     joint = control["joints"]["finger_1_distal_joint"]
     assert joint["zero"] == 0.25
