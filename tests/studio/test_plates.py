@@ -226,7 +226,7 @@ def test_dowels_are_bought() -> None:
     prints = prints_of(task, corner(task, 0.4))
     fingers = len(task.design_space.parameters) // 2
     [line] = dowels_bought(prints)
-    assert line[:2] == ["dowel pin 8 x 40 mm", 2 * 2 * fingers]
+    assert line[:2] == ("dowel pin 8 x 40 mm", 2 * 2 * fingers)
     assert "2 pieces, with 2 dowels" in note_of(prints, "finger_1_distal")
     assert note_of(prints, "palm") == ""
 
