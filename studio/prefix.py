@@ -1,7 +1,7 @@
 """The path under which a proxy serves the studio, such as /user/me/proxy/8000: told by a setting or by the proxy."""
 
 import re
-from collections.abc import Callable
+from typing import cast
 from urllib.parse import unquote
 
 from starlette.datastructures import Headers
@@ -33,8 +33,8 @@ class Prefixed:
     def __init__(self, app: ASGIApp, root_path: str, trusted: str) -> None:
         """Take the prefix of all requests, empty for none, and the addresses of trusted proxies between commas."""
         self.root_path = root_path
-        forwarded: Callable = ProxyHeadersMiddleware(app, trusted)  # pyright: ignore[reportArgumentType]
-        self._app: ASGIApp = forwarded
+        forwarded = ProxyHeadersMiddleware(app, trusted)  # pyright: ignore[reportArgumentType] - two words for ASGI
+        self._app = cast(ASGIApp, forwarded)
         self._trusted = forwarded.trusted_hosts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 
 import msgspec
@@ -41,6 +42,7 @@ from studio.export.urdf import write_urdf
 from studio.export.views import views_of
 from studio.export.zero import hold_keyframes, moved_zero, servo_targets
 from studio.robots.chooser import robot_of
+from studio.robots.deviation import deviation
 from studio.robots.parts import Part, colours_of, dress, stl_files
 from studio.robots.robot import Program, Robot
 
@@ -54,6 +56,8 @@ BY_HAND = "changed by hand"
 """Words behind the name of a design that no run has recorded."""
 EPISODES = 32
 """Number of episodes that measure the policy's success on the exported files, for which an export may take 3 s."""
+_POINTS = 200
+"""Random points of each link at which the distance between print and collision shapes is measured."""
 _SHIPPED = Path(__file__).parent / "shipped"
 
 
@@ -249,7 +253,11 @@ def _papers(
         "README.txt": _readme(task, robot, held, program, oldest, table).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
+    model = task.spec(phi).compile()
     more = [Section("Print it", prints_html(prints))] if prints else []
+    if robot.printed:
+        measured = deviation(model, parts, points=_POINTS)
+        more.insert(0, Section("Printed and simulated", f"<p>{escape(measured.words)}"))
     if table:
         papers[servos.FILE] = _json(msgspec.to_builtins(table))
         more.append(Section("Servos", servo_html(table)))
@@ -259,7 +267,7 @@ def _papers(
         more.append(Section("Bill of materials", bill_html(lines)))
     sheet = Sheet(
         title=task.title, design=design, robot=robot, parts=parts,
-        views=views_of(task.spec(phi).compile(), parts) if parts else None, formats=held, scores=scores,
+        views=views_of(model, parts) if parts else None, formats=held, scores=scores,
         recorded=recorded, episodes=episodes, program=program,
         more=more, no_onnx="" if onnx_policy.is_available() else onnx_policy.MISSING,
     )  # fmt: skip

@@ -35,7 +35,7 @@ def _problems(prints: Prints) -> str:
 
 def _plates(prints: Prints) -> str:
     pictures = [plate_picture(plate, plate_title(prints, i)) for i, plate in enumerate(prints.plates, start=1)]
-    return "".join(f'<figure style="max-width:34rem;margin:1rem 0">{picture}</figure>' for picture in pictures)
+    return f"<div class=plates>{''.join(f'<figure>{picture}</figure>' for picture in pictures)}</div>"
 
 
 def _pieces(prints: Prints) -> str:

@@ -277,11 +277,14 @@ def _parts(sheet: Sheet) -> str:
     rows = [
         [
             escape(part.name), str(part.quantity), f"{1000 * part.inertial.mass:,.1f}",
+            *([f"{part.infill:.0%}"] * sheet.robot.printed),
             " × ".join(f"{length:.1f}" for length in part.size), escape(", ".join(part.links)),
         ]
         for part in sheet.parts
     ]  # fmt: skip
-    table = _table(("part", "quantity", "g each", "size in mm", "links"), rows, numbers={1, 2, 3})
+    infill = ["infill"] * sheet.robot.printed
+    heads = ("part", "quantity", "g each", *infill, "size in mm", "links")
+    table = _table(heads, rows, numbers={1, 2, 3, 3 + len(infill)})
     return f"{table}\n{sheet.robot.about_parts}"
 
 

@@ -11,8 +11,7 @@ from studio.robots.robot import Bought
 STEEL = 7850.0  # kg/m^3
 
 ABOUT_PARTS = f"""<p>PLA ({DENSITY:g} kg/m&sup3;), with walls, top and bottom of {SKIN:g} mm and the infill of the \
-table, with which a part weighs what is simulated; without supports, a link on the flat of its back, the palm on its \
-top. The prints follow the collision shapes. Pin bores: {SIZES.pin_diameter:g} mm, pressed in the lugs, \
+table, with which a part weighs what is simulated. Pin bores: {SIZES.pin_diameter:g} mm, pressed in the lugs, \
 {SIZES.pin_play:g} mm play in the tang; {SIZES.side_play:g} mm between tang and lug. The links hold no motor, and pins \
 and bolts are not in the masses: BOM.csv."""
 

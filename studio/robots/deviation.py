@@ -15,6 +15,8 @@ NEAREST = 6
 """Number of triangles that are tried first, before those that can be nearer."""
 ANGLES = 33
 """Number of angles of a joint at which its two shapes are tried."""
+PROMISED = 1.0
+"""mm: prints are no farther from the shapes, but for joints that have no room."""
 NEAR = 0.5
 """mm: points that are nearer to their own link's print are not compared with its neighbours'."""
 TOUCHING = 1e-6
@@ -46,12 +48,14 @@ class Deviation:
     @property
     def words(self) -> str:
         """The distances as a paragraph."""
+        thinner = " Joints of short links, and those under servos, are thinner than their shapes."
         return (
             f"The prints follow the collision shapes: they reach out of them by at most {self.outside_max:.2f} mm, "
             f"and the shapes' surface is at most {self.inside_max:.2f} mm from them, {self.inside_95:.2f} mm for 95 % "
             f"of it. Left out are the crotches of the joints, {self.crotch_share:.0%} of the surface and up to "
             f"{self.crotch_max:.1f} mm away: there two shapes are in one place when the joint folds, as two prints "
             "can't be. Holes count as filled by their pins, bolts and servos."
+            f"{thinner if self.inside_max > PROMISED else ''}"
         )
 
 

@@ -120,7 +120,7 @@ class PalmSizes:
 
 SIZES, PALM = Sizes(), PalmSizes()
 ARM = replace(
-    SIZES, radius=1e3 * LINK_RADIUS, rim=0.45, wall=10.0, pin_diameter=10.0, pin_length=100.0, tang=20.0, web=12.5,
+    SIZES, radius=1e3 * LINK_RADIUS, rim=0.4, wall=10.0, pin_diameter=10.0, pin_length=100.0, tang=20.0, web=12.5,
     back=2.2, fold=2.2, segments=72,
 )  # fmt: skip
 """Sizes of the arm's links, whose joints have no limits: they turn as far as links of their thickness can."""
@@ -238,9 +238,9 @@ def arm_base(joint: float) -> Drilled:
 
 
 def _profile(length: float, sizes: Sizes) -> Manifold:
-    """Return an octagonal prism, whose sides are the flats of a link, from above its joint to below its end."""
-    octagon = CrossSection.circle(sizes.half_width / math.cos(math.pi / 8), 8).rotate(22.5)
-    return octagon.extrude(length + 4 * sizes.radius).translate((0, 0, -length - 2 * sizes.radius))
+    """Return a square prism, whose sides are the flats of a link, from above its joint to below its end."""
+    side, beyond = sizes.half_width, 2 * sizes.radius
+    return _corners((-side, side), 2 * side, (-length - beyond, beyond))
 
 
 def _room(length: float, sizes: Sizes, *, folds: bool) -> Manifold:

@@ -44,7 +44,18 @@ _RULER_COLOUR = (150, 155, 165)
 
 
 class _Changes(SceneNodeUpdateMessage):
-    """Arrays that a node's properties become; viser's own way to write a message down looks at every value's type."""
+    """Arrays that a node's properties become.
+
+    viser's own message looks at the type of every value, and is found again by its node, in case that is removed or
+    made anew, which no node of a layer is.
+    """
+
+    def redundancy_key(self) -> str:
+        """Return what a later message has in common with this one that takes its place."""
+        return f"{self.name}:{','.join(self.updates)}"
+
+    def entity_state_key(self) -> None:
+        """Leave the message out of viser's index of messages by node."""
 
     def as_serializable_dict(self, binary_buffers: list[memoryview] | None = None) -> dict[str, Any]:
         """Return what goes to the browsers; the arrays themselves are appended to `binary_buffers`."""

@@ -30,10 +30,10 @@ def test_every_page_and_the_viewer_work_under_the_prefix(server: Server, page: P
     frame.get_by_role("tab", name="Timeline", exact=True).wait_for(timeout=60_000)
     wait_for("the robot", lambda: any(name.startswith("/robot/") for name in nodes_of(page.frames[-1])), 30)
     expect(page.locator("#chooser")).to_contain_text("reacher-direct-s0")
-    for name, awaited in (("Runs", ".tabulator-row"), ("Study", "#report")):
+    for name, awaited in (("Runs", ".tabulator-row"), ("Study", "#writing, #report")):
         page.get_by_role("link", name=name, exact=True).click()
         page.wait_for_url(f"{address}/{name.lower()}")
-        expect(page.locator(awaited).first).to_be_visible(timeout=60_000)
+        expect(page.locator(awaited).filter(visible=True).first).to_be_visible(timeout=60_000)
     page.goto(f"{address}/docs")
     page.get_by_role("link", name="studio").click()
     page.wait_for_url(f"{address}/*")

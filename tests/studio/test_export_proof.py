@@ -241,12 +241,17 @@ def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
         "servos.json",
         *(f"{folder}/{part}.{ending}" for folder, ending in (("parts", "stl"), ("3mf", "3mf"))
           for part in ("palm", *links)),
-        "plates/plate_1.3mf", "plates/plate_1.svg", "plates/pieces.csv", "plates/joints.csv",
+        *(f"plates/plate_{number}.{ending}" for number in (1, 2) for ending in ("3mf", "svg")),
+        "plates/pieces.csv", "plates/joints.csv",
     }  # fmt: skip
     assert all(check.passed for check in prove(bundle.files, episodes=4))
     rows = bundle.files["BOM.csv"].decode().splitlines()
     assert any(row.startswith("finger_2_distal,3,finger_2_distal finger_3_distal finger_4_distal,") for row in rows)
     assert any(row.startswith("dowel pin 4 x 28 mm,8") for row in rows)
+    assert (
+        b"The prints follow the collision shapes: they reach out of them by at most 0.00 mm"
+        in bundle.files["report.html"]
+    )
     control = json.loads(bundle.files["control.json"])
     joint = control["joints"]["finger_1_distal_joint"]
     assert joint["zero"] == 0.25
@@ -293,10 +298,13 @@ def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for(
 def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundle) -> None:
     page = bundle.files["report.html"].decode()
     assert "&lt;b&gt;run" in page
-    assert "<b>" not in page
+    assert "<b>run" not in page
     assert 'src="http' not in page
     assert "data:image/png;base64," in page
     assert "lifted 75\N{NO-BREAK SPACE}%" in page
+    for heading in ("Printed and simulated", "Print it", "Servos", "Bill of materials"):
+        assert f"<h2>{heading}</h2>" in page
+    assert "The prints follow the collision shapes: they reach out of them by at most" in page
 
 
 def test_a_bundle_name_is_plain_whatever_the_run_is_called(bundle: Bundle) -> None:

@@ -1,5 +1,6 @@
 """The printable parts: whole for every length, free to move, where the collision shapes are, as heavy as simulated."""
 
+import dataclasses
 import io
 import math
 from functools import cache
@@ -18,7 +19,7 @@ from morph_core.tasks import hand
 from morph_core.tasks.printed import Servo
 from studio.robots import geometry
 from studio.robots.chooser import robot_of
-from studio.robots.deviation import Deviation, deviation
+from studio.robots.deviation import PROMISED, Deviation, deviation
 from studio.robots.geometry import ARM, PALM, SIZES, Drilled, Sizes, mesh, moments
 from studio.robots.parts import MILLIMETRE, Part, body_of
 from studio.robots.stl import stl
@@ -26,7 +27,6 @@ from studio.robots.stl import stl
 HANDS, TASKS = ("pen_press", "mouse_click"), ("pen_press", "mouse_click", "reacher")
 LENGTHS = st.one_of(st.sampled_from([0.02, 0.4]), st.floats(*hand.LENGTH_BOX))  # m
 MG90S_FLANGE = (32.6, 12.4)  # mm, along and across: what the servo covers of the palm's top
-PROMISED = 1.0  # mm: between prints and collision shapes, of links that have room for their joints
 
 
 def whole(drilled: Drilled) -> None:
@@ -160,6 +160,14 @@ def test_prints_are_within_a_millimetre_of_the_collision_shapes(name: str) -> No
     assert found.outside_max <= PROMISED
     assert found.inside_max <= PROMISED
     assert 0 < found.crotch_share < 0.2
+
+
+def test_the_distances_are_told_in_words_with_the_reason_where_they_are_larger_than_promised() -> None:
+    near = Deviation(0.0, 0.0, 0.91, 0.4, 6.6, 0.08)
+    assert "at most 0.91 mm from them, 0.40 mm for 95 % of it" in near.words
+    assert "8% of the surface and up to 6.6 mm away" in near.words
+    assert "short links" not in near.words
+    assert "short links" in dataclasses.replace(near, inside_max=7.8).words
 
 
 def test_a_print_that_is_thinner_than_its_collision_shape_is_found_out() -> None:

@@ -24,6 +24,7 @@ from studio.export.design_file import Design
 from studio.export.loading import LOADINGS
 from studio.export.policy import Score
 from studio.export.report import Section, Sheet, report
+from studio.export.servo_plot import Bar, servo_plot, ticks
 from studio.export.views import APART, GAP, apart, placed_parts, spread_out, views_of
 from studio.robots.chooser import robot_of
 from studio.robots.parts import body_of
@@ -272,3 +273,32 @@ def test_what_came_from_a_run_is_text(name: str) -> None:
     read = Page(report(dataclasses.replace(SPARSE, design=design, title=name)))
     assert set(read.tags) == plain
     assert read.asked == []
+
+
+# --- the plot of servos ---
+
+
+@given(
+    st.lists(st.tuples(st.floats(0, 50), st.floats(0, 1), st.booleans()), min_size=1, max_size=12), st.floats(0.1, 60)
+)
+@settings(max_examples=30, deadline=None)
+def test_bars_and_limits_are_drawn_to_one_scale(needs: list[tuple[float, float, bool]], stall: float) -> None:
+    bars = [Bar(f"joint_{i}", peak, share * peak, enough) for i, (peak, share, enough) in enumerate(needs)]
+    drawn = servo_plot("torque", "N m", bars, [("stall", stall)])
+    found = re.findall(r'<rect class="(bar[a-z ]*)" x=(\d+) y=\d+ width="([\d.]+)"', drawn)
+    line = re.search(r'<path class=limit d="M([\d.]+) ', drawn)
+    assert line is not None
+    start = int(found[0][1])
+    per_unit = (float(line[1]) - start) / stall
+    for bar, (pale, full) in zip(bars, zip(found[::2], found[1::2], strict=True), strict=True):
+        assert float(pale[2]) == pytest.approx(bar.peak * per_unit, abs=0.1 + 0.1 * bar.peak / stall)
+        assert float(full[2]) == pytest.approx(bar.usual * per_unit, abs=0.1 + 0.1 * bar.usual / stall)
+        assert ("bad" in pale[0], "bad" in full[0]) == (not bar.is_enough, not bar.is_enough)
+
+
+@given(st.floats(1e-6, 1e6))
+def test_an_axis_has_a_few_round_numbers_from_0_on(highest: float) -> None:
+    found = ticks(highest)
+    assert found[0] == 0
+    assert 3 <= len(found) <= 6
+    assert found[-1] <= highest * (1 + 1e-9)
