@@ -30,6 +30,8 @@ def settled(element: Any, value: object) -> object:
     What lies outside the range by no more than the browser rounds to is the end of the range.
     """
     present, props = element.value, element.props
+    if not hasattr(props, "disabled"):  # a progress bar, which shows and takes nothing
+        raise ValueError("this element is no input")
     if (options := getattr(props, "options", None)) is not None:
         return _checked(value, isinstance(value, str) and value in options, "is not offered")
     if isinstance(present, bool):
