@@ -138,7 +138,7 @@ def test_a_whole_number_is_held_exactly_in_its_range(value: float, lo: int, widt
         value = lo
 
         class props:
-            min, max, precision = lo, lo + width, 0
+            min, max, precision, disabled = lo, lo + width, 0, False
 
     fits = math.isfinite(value) and value == int(value) and lo <= value <= lo + width
     try:
