@@ -5,3 +5,4 @@ export {
   PlaneGeometry, Raycaster, Scene, SphereGeometry, Vector2, Vector3, WebGLRenderer,
 } from "three";
 export { OrbitControls } from "three/addons/controls/OrbitControls.js";
+export { toCreasedNormals } from "three/addons/utils/BufferGeometryUtils.js";
