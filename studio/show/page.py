@@ -57,7 +57,7 @@ def build_page(history: History, which: str) -> Page:
     hands: dict[str, object] = {"rule": rule_of(task), "designs": []}
     missing = ""
     try:
-        shown = [("this design", phi)] if np.array_equal(phi, initial) else [("evolved", phi), ("initial", initial)]
+        shown = [("This design", phi)] if np.array_equal(phi, initial) else [("Evolved", phi), ("Initial", initial)]
         made = [hand_of(history, task, iteration, design) | {"label": label} for label, design in shown]
         hands["designs"] = made
         missing = _NO_POLICY if made[0]["layers"] is None else ""
@@ -116,7 +116,7 @@ def _success(recorded: Evaluation | None) -> str:
 
 def _rows(history: History, iteration: int, phi: np.ndarray) -> str:
     return "".join(
-        f"<tr><th scope=row>{escape(p.name)}<td>{value:.4g}<td>{p.initial:.4g}<td>{value - p.initial:+.3g}"
+        f"<tr><th scope=row>{escape(p.name)}<td>{value:.3f}<td>{p.initial:.3f}<td>{value - p.initial:+.3f}"
         f"<td>{escape(p.unit)}<td>{'' if p.locked_at is None else 'locked'}"
         for p, value in zip(history.at(iteration).space.parameters, phi, strict=True)
     )

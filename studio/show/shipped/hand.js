@@ -2,7 +2,7 @@
 
 const AFTER = 0.8; // s of simulated time between the end of a try and the next one
 const SPEEDS = [1, 0.5, 0.25, 0.1];
-const MOST_BEHIND = 0.1; // s: a page that was hidden does not catch up
+const MOST_BEHIND = 0.25; // s: a page that was hidden does not catch up
 const REPORT_EVERY = 0.2; // s between two changes of what is written
 
 const $ = (id) => document.getElementById(id);
@@ -45,9 +45,9 @@ class Tally {
 }
 
 class Show {
-  constructor(mujoco, hands) {
+  constructor(mujoco, hands, graphics) {
     Object.assign(this, { mujoco, rule: hands.rule, designs: hands.designs, running: true, speed: 1, behind: 0 });
-    this.stage = new Stage($("stage"));
+    this.stage = new Stage($("stage"), graphics);
     this.shown = [this.seat(this.designs[0], 0)];
     this.arrange();
     this.tryAnew();
@@ -69,8 +69,8 @@ class Show {
 
   place() {
     this.shown.forEach(({ label }, i) => {
-      const { left, top, width } = this.stage.rectangle(i);
-      Object.assign(label.style, { left: `${left}px`, top: `${top}px`, width: `${width}px` });
+      const { left, top, width, height } = this.stage.rectangle(i);
+      Object.assign(label.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
     });
   }
 
@@ -214,14 +214,14 @@ function connectPage() {
 
 async function begin() {
   connectPage();
-  const hands = JSON.parse(await unpackedText("hands"));
+  const packed = unpackedText("hands"), wasm = unpacked("wasm"), drawn = graphics();
+  const hands = JSON.parse(await packed);
   if (!hands.designs.length) return giveUp(hands.missing);
   if (typeof WebAssembly !== "object") return giveUp(missing.wasm);
-  const canvas = document.createElement("canvas");
-  if (!canvas.getContext("webgl2")) return giveUp(missing.webgl);
+  if (!drawn.there) return giveUp(missing.webgl);
   say(hands.missing);
-  const mujoco = await MUJOCO.default({ wasmBinary: await unpacked("wasm") });
-  const show = new Show(mujoco, hands);
+  const mujoco = await MUJOCO.default({ wasmBinary: await wasm });
+  const show = new Show(mujoco, hands, drawn);
   connect(show);
   document.body.dataset.state = "live";
   show.place();

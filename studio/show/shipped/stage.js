@@ -2,7 +2,7 @@
 
 const GEOM = { plane: 0, sphere: 2, capsule: 3, cylinder: 5, box: 6, mesh: 7 }; // mjtGeom
 const COLLISION_GROUP = 3; // shapes that stand behind the printed parts
-const SIGHT = [0.55, -1.25, 0.62], LOOK_AT = [0, 0, 0.17], RADIUS = 0.52; // m: what is framed
+const SIGHT = [0.55, -1.25, 0.62], LOOK_AT = [0, 0, 0.26], RADIUS = 0.62; // m: what is framed
 const SLOW_FRAME = 24; // ms: with frames that are slower on average the picture becomes simpler
 const QUALITIES = [[2, true], [1.25, true], [1, false], [0.7, false], [0.5, false]]; // most pixels for one of CSS; shadows
 const LIT = { button: 0xff5a1f, contact: 0xffb000 };
@@ -82,9 +82,8 @@ class View {
       if (!shared.has(mesh)) shared.set(mesh, geometryOf(model, geom));
       const [r, g, b, opacity] = model.geom_rgba.slice(4 * geom, 4 * geom + 4), body = model.geom_bodyid[geom];
       const scenery = body === 0, ghost = scenery && model.geom_type[geom] !== GEOM.plane;
-      const material = new THREE.MeshStandardMaterial({
-        color: new THREE.Color().setRGB(r, g, b, "srgb"), roughness: 0.62, metalness: 0,
-        transparent: ghost || opacity < 1, opacity: ghost ? 0.55 : opacity,
+      const material = new THREE.MeshLambertMaterial({
+        color: new THREE.Color().setRGB(r, g, b, "srgb"), transparent: ghost || opacity < 1, opacity: ghost ? 0.55 : opacity,
       });
       const shape = new THREE.Mesh(shared.get(mesh), material);
       shape.matrixAutoUpdate = false;
@@ -126,17 +125,27 @@ class View {
   }
 }
 
+/** Return whether there is WebGL, and whether a processor has to draw. */
+function graphics() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return { there: false };
+  const about = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : "";
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return { there: true, slow: /swiftshader|llvmpipe|software|basic render/i.test(name) };
+}
+
 class Stage {
-  constructor(canvas) {
+  constructor(canvas, { slow }) {
     this.canvas = canvas;
-    this.renderer = new THREE.WebGLRenderer({ canvas, alpha: true, antialias: true, powerPreference: "high-performance" });
-    this.renderer.shadowMap.enabled = true;
+    this.quality = slow ? QUALITIES.length - 2 : 0;
+    this.renderer = new THREE.WebGLRenderer({ canvas, alpha: true, antialias: !slow, powerPreference: "high-performance" });
+    this.renderer.shadowMap.enabled = QUALITIES[this.quality][1];
     this.camera = new THREE.PerspectiveCamera(32, 1, 0.05, 20);
     this.camera.up.set(0, 0, 1);
     this.orbit = new THREE.OrbitControls(this.camera, canvas);
     Object.assign(this.orbit, { minDistance: 0.4, maxDistance: 6, maxPolarAngle: 1.52, enablePan: false });
     this.views = [];
-    this.quality = 0;
     this.frames = [];
     this.home();
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
