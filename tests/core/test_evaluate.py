@@ -2,8 +2,6 @@
 
 import dataclasses
 import json
-import subprocess
-import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +14,7 @@ from morph_core.task import Hardware, Transition
 from morph_core.tasks.reacher import Reacher
 from morph_core.train import train
 from tests.core.conftest import SMALL, make_run
+from tests.forked import Forked
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +40,15 @@ def test_a_design_without_a_policy_is_refused(run: RunFolder) -> None:
 
 
 def test_the_process_prints_one_document(run: RunFolder) -> None:
-    command = [sys.executable, "-m", "morph_core.evaluate", "--run", str(run.path), "--episodes", "2"]
-    document = json.loads(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
+    words = ("--run", str(run.path), "--episodes", "2")
+    done = Forked("morph_core.evaluate", *words)
+    assert done.wait() == 0
+    document = json.loads(done.said("output"))
     assert set(document["phi"]) == {f"link_{i}" for i in range(1, 6)}
     assert 0 <= document["sampled"]["success"] <= 1
-    wrong = subprocess.run([*command, "--design", "worst"], capture_output=True, text=True, check=False)
-    assert wrong.returncode == 2
-    assert "choose best, latest" in wrong.stderr
+    wrong = Forked("morph_core.evaluate", *words, "--design", "worst")
+    assert wrong.wait() == 2
+    assert "choose best, latest" in wrong.said("errors")
 
 
 def test_evaluating_needs_no_hold(run: RunFolder) -> None:

@@ -3,8 +3,6 @@
 import dataclasses
 import json
 import shutil
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -29,6 +27,7 @@ from morph_core.run_folder import RunFolder, create_run, read_episode
 from morph_core.searches.cma import Cma
 from morph_core.searches.drift import Drift
 from morph_core.spread import ExploredDesigns
+from tests.forked import trainer
 
 RECORDED = Path(__file__).parents[1] / "data" / "format_1"
 RECORDED_WITH = "AVX512"
@@ -242,7 +241,7 @@ def test_a_recorded_run_evaluates_as_it_did(run: RunFolder, name: str) -> None:
 
 def test_a_recorded_run_goes_on_bit_for_bit_with_what_was_in_force(run: RunFolder, name: str) -> None:
     before, recorded = History(run), RUNS[name]
-    subprocess.run([sys.executable, "-m", "morph_core.train", "--run", str(run.path), "--further", "1"], check=True)
+    assert trainer(run, "--further", "1").wait() == 0
     history = History(run)
     assert history.iteration == recorded.iteration + 1
     last = history.progress[-1]

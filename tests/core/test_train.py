@@ -25,12 +25,12 @@ from morph_core.searches.cma import Cma
 from morph_core.state import start
 from morph_core.train import SHOWN_DESIGNS, Trainer, _keep_beating, apply_edit
 from tests.core.conftest import SMALL, make_run, small_method
-from tests.core.processes import TrainerProcess
+from tests.forked import trainer
 
 
 def trained(folder: RunFolder, *words: str) -> History:
-    trainer = TrainerProcess(folder, *words)
-    assert trainer.wait() == 0, trainer.errors()
+    process = trainer(folder, *words)
+    assert process.wait() == 0, process.said("errors")
     return History(folder)
 
 
@@ -162,7 +162,7 @@ def test_how_often_a_run_is_evaluated_does_not_change_what_is_learnt(tmp_path: P
 def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
     folder.send(protocol.Pause())
-    trainer = TrainerProcess(folder)
+    process = trainer(folder)
     history = History(folder)
     wait_for(history, lambda: history.status == "paused")
     sent: list[tuple[AnyCommand, bool]] = [
@@ -186,16 +186,16 @@ def test_commands_are_acknowledged_with_their_iteration_and_kept_over_a_kill(tmp
     first = history.progress[0]
     assert (first.alpha, first.projection, first.phi[1]) == (3.5, "one_sided", 1.25)
     assert 1.0 <= first.phi[0] <= 2.0
-    trainer.send_signal(signal.SIGKILL)
-    trainer.wait()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
 
-    trainer = TrainerProcess(folder)
-    wait_for(history, lambda: beats_of(folder) == trainer.pid and history.status == "paused")
+    process = trainer(folder)
+    wait_for(history, lambda: beats_of(folder) == process.pid and history.status == "paused")
     assert history.iteration == 1
     folder.send(protocol.Resume())
     wait_for(history, lambda: history.iteration >= 3)
     folder.send(protocol.Stop())
-    assert trainer.wait(30) == 0
+    assert process.wait(30) == 0
     history.poll()
     assert history.status == "stopped"
     assert (history.progress[-1].alpha, history.progress[-1].projection) == (3.5, "one_sided")
@@ -209,10 +209,10 @@ def test_a_paused_run_that_a_cluster_ends_comes_back_paused_until_a_user_lets_it
     folder.send(protocol.StepIteration())
     history = History(folder)
     for _ in range(2):
-        trainer = TrainerProcess(folder)
-        wait_for(history, lambda: beats_of(folder) == trainer.pid and history.status == "paused")  # noqa: B023
-        trainer.send_signal(signal.SIGTERM)  # preempted, or the time limit: nobody has said Stop
-        assert trainer.wait(30) == 0
+        process = trainer(folder)
+        wait_for(history, lambda: beats_of(folder) == process.pid and history.status == "paused")  # noqa: B023
+        process.send_signal(signal.SIGTERM)  # preempted, or the time limit: nobody has said Stop
+        assert process.wait(30) == 0
         history.poll()
         assert (history.status, history.iteration) == ("stopped", 1)
     folder.send(protocol.Resume())
@@ -241,13 +241,13 @@ def test_a_pause_holds_until_the_run_is_resumed_or_stopped(
 
 def test_a_steered_run_can_be_replayed_from_its_log(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
-    trainer = TrainerProcess(folder)
+    process = trainer(folder)
     history = History(folder)
     edits = (protocol.SetAlpha(4.0), protocol.Lock("link_5"), protocol.SetBound("link_1", 0.5, 2.0), protocol.Stop())
     for number, edit in enumerate(edits, 1):
         folder.send(edit)
         wait_for(history, lambda number=number: len(history.acknowledged) == number)
-    assert trainer.wait(30) == 0
+    assert process.wait(30) == 0
     history.poll()
 
     task = make_task("reacher")
@@ -264,11 +264,11 @@ def test_a_steered_run_can_be_replayed_from_its_log(tmp_path: Path) -> None:
 
 def test_a_signal_stops_cleanly_and_leaves_a_resumable_run(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
-    trainer = TrainerProcess(folder)
+    process = trainer(folder)
     history = History(folder)
     wait_for(history, lambda: history.iteration >= 1)
-    trainer.send_signal(signal.SIGINT)
-    assert trainer.wait(30) == 0
+    process.send_signal(signal.SIGINT)
+    assert process.wait(30) == 0
     history.poll()
     assert history.status == "stopped"
     assert folder.checkpoint_iterations()[-1] == history.iteration
@@ -276,16 +276,16 @@ def test_a_signal_stops_cleanly_and_leaves_a_resumable_run(tmp_path: Path) -> No
 
 def test_the_warnings_of_a_cluster_do_not_end_a_trainer(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
-    trainer = TrainerProcess(folder)
+    process = trainer(folder)
     history = History(folder)
     wait_for(history, lambda: history.iteration >= 1)
     for number in (signal.SIGUSR1, signal.SIGUSR2):
-        trainer.send_signal(number)
+        process.send_signal(number)
     reached = history.iteration
     wait_for(history, lambda: history.iteration >= reached + 2)
     assert history.status == "running"
-    trainer.send_signal(signal.SIGTERM)
-    assert trainer.wait(30) == 0
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(30) == 0
 
 
 def test_the_processor_is_recorded_at_each_start(tmp_path: Path) -> None:
@@ -306,9 +306,9 @@ def test_until_is_the_last_iteration_however_often_a_trainer_is_started(tmp_path
     folder = make_run(tmp_path, iterations=2)
     for _ in range(2):
         assert trained(folder, "--until", "5").iteration == 5
-    wrong = TrainerProcess(folder, "--until", "0")
+    wrong = trainer(folder, "--until", "0")
     assert wrong.wait() == 2
-    assert "--until must be at least 1" in wrong.errors()
+    assert "--until must be at least 1" in wrong.said("errors")
 
 
 def test_what_a_trainer_says_reaches_the_disk_while_it_learns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -321,13 +321,13 @@ def test_what_a_trainer_says_reaches_the_disk_while_it_learns(tmp_path: Path, mo
 
 def test_a_second_trainer_on_one_folder_is_refused(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
-    first = TrainerProcess(folder)
+    first = trainer(folder)
     history = History(folder)
     wait_for(history, lambda: history.iteration >= 1)
-    second = TrainerProcess(folder)
+    second = trainer(folder)
     assert second.wait() == 2
-    assert "held by another trainer" in second.errors()
-    nowhere = TrainerProcess(RunFolder(tmp_path))
+    assert "held by another trainer" in second.said("errors")
+    nowhere = trainer(RunFolder(tmp_path))
     assert nowhere.wait() == 1, "2 is for a run that will be free once its trainer has ended"
     first.send_signal(signal.SIGTERM)
     assert first.wait(30) == 0
@@ -335,8 +335,8 @@ def test_a_second_trainer_on_one_folder_is_refused(tmp_path: Path) -> None:
 
 def test_a_failure_is_said_with_its_reason(tmp_path: Path) -> None:
     folder = make_run(tmp_path, method=small_method("morph", {"ppo.learning_rate": 1e30}))
-    trainer = TrainerProcess(folder)
-    assert trainer.wait() == 1
+    process = trainer(folder)
+    assert process.wait() == 1
     history = History(folder)
     assert history.status == "failed"
     assert "NaN" in history.message
@@ -344,8 +344,8 @@ def test_a_failure_is_said_with_its_reason(tmp_path: Path) -> None:
 
 def test_a_disk_that_is_full_pauses_the_run_and_loses_nothing(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
-    trainer = TrainerProcess(folder)
-    resource.prlimit(trainer.pid, resource.RLIMIT_FSIZE, (30_000, resource.RLIM_INFINITY))
+    process = trainer(folder)
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (30_000, resource.RLIM_INFINITY))
     history = History(folder)
     wait_for(history, lambda: history.status == "paused")
     assert "disk does not take" in history.message
@@ -353,13 +353,13 @@ def test_a_disk_that_is_full_pauses_the_run_and_loses_nothing(tmp_path: Path) ->
     assert told.endswith(b"\n")
     time.sleep(1.2)
     assert folder.events.read_bytes() == told
-    resource.prlimit(trainer.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     reached = history.iteration
     wait_for(history, lambda: history.iteration > reached + 2)
     assert folder.events.read_bytes().startswith(told)
     assert [e.seq for e in history.events] == list(range(1, len(history.events) + 1))
-    trainer.send_signal(signal.SIGTERM)
-    assert trainer.wait(30) == 0
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(30) == 0
 
 
 def test_a_trainer_in_reserve_starts_at_a_word_and_goes_when_nobody_needs_it(tmp_path: Path) -> None:
@@ -389,10 +389,10 @@ def test_killed_and_resumed_is_bitwise_the_run_that_was_not(tmp_path: Path, meth
     folder = make_run(tmp_path, "killed", small_method(method), seed=3, iterations=12)
     history = History(folder)
     for reached in (1, 3, 6, 9):
-        trainer = TrainerProcess(folder)
+        process = trainer(folder)
         wait_for(history, lambda reached=reached: history.iteration >= reached)
-        trainer.send_signal(signal.SIGKILL)
-        trainer.wait()
+        process.send_signal(signal.SIGKILL)
+        process.wait()
     trained(folder)
     history.poll()
     assert [p.iteration for p in history.progress] == list(range(1, 13))

@@ -26,6 +26,7 @@ from studio.cli.follow import Outcome, _in_short
 from studio.cli.train import _document
 from studio.new_run import StartRun, prepare_run
 from studio.shelf.marks import Marks, write_marks
+from tests import forked
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = [sys.executable, "-m", "studio.cli"]
@@ -36,9 +37,7 @@ SMALL = ("--trajectories", "8", "--proxy.prefit", "5", "--evaluation.episodes", 
 
 
 def morph_studio(*words: str, cwd: Path = ROOT, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *words], capture_output=True, text=True, cwd=cwd, env=ENVIRONMENT | environment, timeout=120
-    )
+    return forked.morph_studio(*words, cwd=cwd, environment=ENVIRONMENT | environment)
 
 
 @pytest.fixture

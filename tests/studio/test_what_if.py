@@ -13,7 +13,7 @@ from typing import IO
 
 import numpy as np
 import pytest
-from conftest import ROOT, add_checkpoint, eventually, make_run
+from conftest import add_checkpoint, eventually, make_run
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
@@ -27,6 +27,7 @@ from studio import evaluator as module
 from studio.cancellation import Cancellation, CancelledError
 from studio.evaluator import Evaluator, EvaluatorError
 from studio.what_if import POINTS, WhatIfs, Wish, phi_of, sweep_designs
+from tests.forked import morph_studio
 
 LONG = 10_000  # episodes: seconds of work
 
@@ -308,8 +309,7 @@ def test_a_checkpoint_that_has_gone_is_said(what_ifs: WhatIfs, tmp_path: Path) -
 
 
 def evaluate(*words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "studio.cli", "evaluate", *words]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    return morph_studio("evaluate", *words)
 
 
 @pytest.mark.slow

@@ -1,0 +1,74 @@
+"""Programs in processes of their own that need not load torch first: a server that has loaded it forks them."""
+
+import importlib
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from morph_core.run_folder import RunFolder
+
+_FORK = multiprocessing.get_context("forkserver")
+_FORK.set_forkserver_preload(
+    ["morph_core.train", "morph_core.evaluate", "cma", "studio.cli.train", "studio.cli.export"]
+)
+
+
+def _run(module: str, words: Sequence[str], into: Path, cwd: Path, environment: Mapping[str, str]) -> None:
+    """Be `python -m MODULE WORDS` in a new process, whose output and errors go to two files."""
+    os.chdir(cwd)
+    os.environ.clear()
+    os.environ.update(environment)
+    for descriptor, name in ((1, "output"), (2, "errors")):
+        os.dup2(os.open(into / name, os.O_WRONLY | os.O_CREAT), descriptor)
+    sys.argv = [module, *words]
+    sys.exit(importlib.import_module(module).main())
+
+
+class Forked:
+    """A program at work: a module with `main()`, started with the words of its command line."""
+
+    def __init__(
+        self, module: str, *words: str, cwd: Path | None = None, environment: Mapping[str, str] | None = None
+    ) -> None:
+        self._said = tempfile.TemporaryDirectory()
+        into = Path(self._said.name)
+        arguments = (module, words, into, cwd or Path.cwd(), dict(os.environ if environment is None else environment))
+        self._process = _FORK.Process(target=_run, args=arguments)
+        self._process.start()
+        assert self._process.pid is not None
+        self.pid: int = self._process.pid
+
+    def wait(self, seconds: float = 200) -> int:
+        """Wait for its end and return its exit status, negative where a signal has ended it."""
+        self._process.join(seconds)
+        if self._process.exitcode is None:
+            self.send_signal(signal.SIGKILL)
+            raise TimeoutError(f"it still ran after {seconds} s")
+        return self._process.exitcode
+
+    def said(self, name: str) -> str:
+        """Return what it has said so far on "output" or "errors"."""
+        return (Path(self._said.name) / name).read_text()
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        os.kill(self.pid, number)
+
+
+def trainer(folder: RunFolder, *words: str) -> Forked:
+    """Start the trainer of a run folder."""
+    return Forked("morph_core.train", "--run", str(folder.path), *words)
+
+
+def morph_studio(
+    *words: str, cwd: Path | None = None, environment: Mapping[str, str] | None = None, seconds: float = 120
+) -> subprocess.CompletedProcess[str]:
+    """Run `morph-studio WORDS` to its end."""
+    command = Forked("studio.cli", *words, cwd=cwd, environment=environment)
+    status = command.wait(seconds)
+    return subprocess.CompletedProcess(words, status, command.said("output"), command.said("errors"))
