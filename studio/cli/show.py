@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from studio.cli.arguments import RunName, RunsArguments, parse
+from studio.cli.arguments import RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import check_design, open_run
 from studio.cli.export import DesignName
 
@@ -34,11 +34,18 @@ def main(words: Sequence[str]) -> int:
 
     history = open_run(arguments.runs, arguments.run)
     check_design(history, arguments.design)
+    if not arguments.out.parent.is_dir():
+        raise UsageError(f"show: there is no folder {arguments.out.parent} to write into")
     try:
         page = build_page(history, arguments.design)
-        write_file(arguments.out, page.content)
-    except (ExportError, OSError) as error:
+    except ExportError as error:
         print(f"morph-studio: show: {error}", file=sys.stderr)  # noqa: T201
+        return 1
+    try:
+        write_file(arguments.out, page.content)
+    except OSError as error:
+        reason = error.strerror or error
+        print(f"morph-studio: show: can't write {arguments.out}: {reason}", file=sys.stderr)  # noqa: T201
         return 1
     if page.missing:
         print(f"morph-studio: show: {page.missing}", file=sys.stderr)  # noqa: T201

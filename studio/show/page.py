@@ -1,4 +1,4 @@
-"""hand.html: one file that needs no network, in which a design of a hand runs live, with what is known of it as text."""
+"""hand.html: one file that needs no network, in which a hand runs live, and what is known of its design as text."""
 
 import base64
 import gzip
