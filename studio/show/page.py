@@ -21,8 +21,9 @@ from morph_core.task import Task
 from studio.export.bundle import task_of
 from studio.export.errors import ExportError
 from studio.show.hand import check_hand, hand_of, rule_of
+from studio.show.shaping import shaping_of
 
-SCRIPTS = ("policy.js", "world.js", "stage.js", "pull.js", "hand.js")
+SCRIPTS = ("policy.js", "world.js", "shape.js", "stage.js", "pull.js", "hand.js")
 """The page's own scripts, in the order in which they are put together as one module."""
 PICTURE_WIDTH, PICTURE_HEIGHT = 960, 720
 _FOLDER = Path(__file__).parent
@@ -59,7 +60,7 @@ def build_page(history: History, which: str) -> Page:
     try:
         shown = [("This design", phi)] if np.array_equal(phi, initial) else [("Evolved", phi), ("Initial", initial)]
         made = [hand_of(history, task, iteration, design) | {"label": label} for label, design in shown]
-        hands["designs"] = made
+        hands |= {"designs": made, "shaping": shaping_of(history, task, iteration, phi)}
         missing = _NO_POLICY if made[0]["layers"] is None else ""
     except ExportError as error:
         missing = f"This design can't run: {error}. Its picture and its numbers are below."
@@ -117,7 +118,7 @@ def _success(recorded: Evaluation | None) -> str:
 def _rows(history: History, iteration: int, phi: np.ndarray) -> str:
     return "".join(
         f"<tr><th scope=row>{escape(p.name)}<td>{value:.3f}<td>{p.initial:.3f}<td>{value - p.initial:+.3f}"
-        f"<td>{escape(p.unit)}<td>{'' if p.locked_at is None else 'locked'}"
+        f"<td>{escape(p.unit)}<td>"
         for p, value in zip(history.at(iteration).space.parameters, phi, strict=True)
     )
 

@@ -1,9 +1,12 @@
 """hand.html in a real browser without a network: it runs as Python runs, can be steered, and says what is missing."""
 
+import base64
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
@@ -12,8 +15,9 @@ from morph_core.history import History
 from morph_core.tasks.grasp import GraspTask
 from studio.export.bundle import task_of
 from studio.export.policy import policy_at
+from studio.show.hand import hand_of
 from studio.show.page import build_page
-from tests.hands import write_trained_run
+from tests.hands import trained_design, write_trained_run
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 STARTS = 20
@@ -92,6 +96,61 @@ def test_twenty_tries_end_as_they_do_in_python(
     share = (solved.sum() + succeeded.sum() + 1) / (2 * STARTS + 2)
     by_chance = 3 * np.sqrt(share * (1 - share) * 2 / STARTS) + 1 / STARTS
     assert abs(solved.mean() - succeeded.mean()) <= by_chance
+
+
+@pytest.mark.parametrize("task", ["pen_press", "mouse_click"])
+def test_the_hand_of_another_phi_is_the_one_that_is_exported(
+    task: str, pages: dict[str, tuple[Path, History]], opened: Opened, page: Page
+) -> None:
+    path, history = pages[task]
+    made, rng = task_of(history), np.random.default_rng(3)
+    assert isinstance(made, GraspTask)
+    n = made.hand.fingers
+    opened(path)
+    for _ in range(3):
+        phi = np.concatenate([rng.uniform(-0.3, 0.3, n), rng.uniform(0.02, 0.4, n)])
+        built = page.evaluate("phi => show.shaped(phi)", phi.tolist())
+        exported = hand_of(history, made, 1, phi)
+        one, other = read(built), read(exported)
+        for field in ("body_mass", "body_pos", "body_ipos", "jnt_range", "actuator_ctrlrange", "key_qpos"):
+            np.testing.assert_allclose(getattr(one, field), getattr(other, field), atol=1e-9, err_msg=field)
+        np.testing.assert_allclose(inertias(one), inertias(other), atol=1e-12)
+        np.testing.assert_allclose(np.abs((one.body_quat * other.body_quat).sum(1)), 1, atol=1e-12)
+        solid = other.geom_contype + other.geom_conaffinity > 0
+        np.testing.assert_allclose(one.geom_size[solid], other.geom_size[solid], atol=1e-9)
+        np.testing.assert_allclose(one.geom_pos[solid], other.geom_pos[solid], atol=1e-9)
+        links = [i for i in range(one.ngeom) if re.fullmatch(r"finger_\d_\w+_visual", one.geom(i).name)]
+        np.testing.assert_allclose(one.geom_aabb[links], other.geom_aabb[links], atol=5e-4)  # m; only drawn
+        assert built["middle"] == pytest.approx(exported["middle"], abs=1e-9)
+
+
+def read(design: dict[str, Any]) -> mujoco.MjModel:
+    files = {path: base64.b64decode(content) for path, content in design["files"].items()}
+    return mujoco.MjModel.from_xml_string(design["xml"], files)
+
+
+def inertias(model: mujoco.MjModel) -> np.ndarray:
+    """Return the inertia of each body about its centre of mass, in its own frame (nbody, 3, 3)."""
+    turned = np.empty((model.nbody, 9))
+    for matrix, quaternion in zip(turned, model.body_iquat, strict=True):
+        mujoco.mju_quat2Mat(matrix, quaternion)
+    axes = turned.reshape(-1, 3, 3)
+    return np.einsum("bij,bj,bkj->bik", axes, model.body_inertia, axes)
+
+
+def test_a_slider_builds_the_hand_and_says_what_cannot_be_built(
+    pages: dict[str, tuple[Path, History]], opened: Opened, page: Page
+) -> None:
+    opened(pages["pen_press"][0])
+    page.get_by_label("length_1 in m").fill("0.3")
+    expect(page.locator("#phi-note")).to_contain_text("not trained for this body")
+    length = "show.ready.then(({ shown: [{ world }] }) => -world.model.body_pos[3 * world.body('finger_1_distal') + 2])"
+    assert page.evaluate(length) == pytest.approx(0.3)
+    page.get_by_label("placement_1 in rad").fill("1.5")
+    expect(page.locator("#phi-note")).to_contain_text("Fingers 1 and 2 would stand 2.8 mm apart on the palm, 30.0 mm")
+    page.get_by_role("button", name="Back to the run's design").click()
+    assert page.evaluate(length) == pytest.approx(trained_design("pen_press")[4])
+    expect(page.locator("#phi-note")).to_be_empty()
 
 
 def test_a_person_watches_steers_and_compares(

@@ -46,7 +46,8 @@ class Tally {
 
 class Show {
   constructor(mujoco, hands, graphics) {
-    Object.assign(this, { mujoco, rule: hands.rule, designs: hands.designs, running: true, speed: 1, behind: 0 });
+    Object.assign(this, { mujoco, rule: hands.rule, designs: hands.designs, shaping: hands.shaping, speed: 1, behind: 0 });
+    this.running = !matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.stage = new Stage($("stage"), graphics);
     this.shown = [this.seat(this.designs[0], 0)];
     this.arrange();
@@ -79,6 +80,23 @@ class Show {
     if (on) this.second ??= this.seat(this.designs[1], 1);
     this.shown = on ? [this.shown[0], this.second] : [this.shown[0]];
     this.arrange();
+    this.tryAnew();
+  }
+
+  /** Give the first world the hand of phi; return why it can't be built, or "". */
+  shape(phi) {
+    const why = whyNot(this.shaping, phi);
+    if (!why) this.exchange(shaped(this.designs[0], this.shaping, phi));
+    return why;
+  }
+
+  /** Let the first world go on with another design; its tries are counted from none. */
+  exchange(design) {
+    const [seat] = this.shown;
+    seat.forces.release();
+    seat.world.exchange(design);
+    seat.view.build();
+    Object.assign(seat, { design, tally: new Tally() });
     this.tryAnew();
   }
 
@@ -196,11 +214,50 @@ function connect(show) {
   document.addEventListener("keydown", (event) => {
     const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key], { target } = event;
     if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (target.closest?.("input, select, summary, dialog") || (target.closest?.("button, a") && event.key === " ")) return;
+    if (target.closest?.('input[type="range"], select, summary') || (target.closest?.("input") && event.key === " ") || (target.closest?.("button") && event.key === " ")) return;
     event.preventDefault();
     act();
   });
   new ResizeObserver(() => show.place()).observe($("stage"));
+}
+
+/** Put a slider beside each entry of phi; what is dragged is built as often as there is time. */
+function connectSliders(show) {
+  const { shaping } = show, rows = [...document.querySelectorAll("#phi tbody tr")];
+  if (!shaping) return;
+  const sliders = shaping.parameters.map(({ name, unit, lo, hi, value }, i) => {
+    const slider = Object.assign(document.createElement("input"), { type: "range", min: lo, max: hi, step: "any", value });
+    slider.setAttribute("aria-label", `${name} in ${unit}`);
+    rows[i].lastElementChild.append(slider);
+    return slider;
+  });
+  const untrained = shaping.bias_slope ? "The policy is told this φ." : "The policy was not trained for this body.";
+  let waiting = false;
+  const build = () => {
+    waiting = false;
+    const phi = sliders.map((slider) => slider.valueAsNumber);
+    $("phi-note").textContent = show.shape(phi) || untrained;
+  };
+  const write = () => sliders.forEach((slider, i) => {
+    const value = slider.valueAsNumber, change = value - shaping.parameters[i].initial, cells = rows[i].cells;
+    cells[1].textContent = value.toFixed(3);
+    cells[3].textContent = `${change < 0 ? "−" : "+"}${Math.abs(change).toFixed(3)}`;
+  });
+  for (const slider of sliders) {
+    slider.addEventListener("input", () => {
+      write();
+      $("unshape").hidden = false;
+      if (!waiting) setTimeout(build, 60);
+      waiting = true;
+    });
+  }
+  $("unshape").addEventListener("click", () => {
+    sliders.forEach((slider, i) => { slider.value = shaping.parameters[i].value; });
+    write();
+    show.exchange(show.designs[0]);
+    $("phi-note").textContent = "";
+    $("unshape").hidden = true;
+  });
 }
 
 function connectPage() {
@@ -214,6 +271,7 @@ function connectPage() {
 
 async function begin() {
   connectPage();
+  $("loading").hidden = false;
   const packed = unpackedText("hands"), wasm = unpacked("wasm"), drawn = graphics();
   const hands = JSON.parse(await packed);
   if (!hands.designs.length) return giveUp(hands.missing);
@@ -223,6 +281,7 @@ async function begin() {
   const mujoco = await MUJOCO.default({ wasmBinary: await wasm });
   const show = new Show(mujoco, hands, drawn);
   connect(show);
+  connectSliders(show);
   document.body.dataset.state = "live";
   show.place();
   show.stage.resize();
@@ -247,5 +306,9 @@ globalThis.show = {
     const results = starts.map((start) => runTry(world, start));
     world.free();
     return results;
+  },
+  async shaped(phi) {
+    const { designs, shaping } = await this.ready;
+    return shaped(designs[0], shaping, phi);
   },
 };

@@ -12,27 +12,27 @@ function randomStart(rule) {
 
 class World {
   constructor(mujoco, rule, design) {
-    Object.assign(this, { mujoco, rule, design });
-    this.policy = design.layers && new Policy(design.layers);
-    this.load(design.xml);
-    this.reset({ position: [0, 0], turn: 0 });
+    Object.assign(this, { mujoco, rule });
+    this.exchange(design);
   }
 
-  load(xml) {
+  /** Simulate this design from now on; the one before stays where MuJoCo can't build it. */
+  exchange(design) {
     const files = new this.mujoco.MjVFS();
-    for (const [path, content] of Object.entries(this.design.files)) files.addBuffer(path, bytes(content));
+    for (const [path, content] of Object.entries(design.files)) files.addBuffer(path, bytes(content));
     let model;
     try {
-      model = this.mujoco.MjModel.from_xml_string(xml, files);
+      model = this.mujoco.MjModel.from_xml_string(design.xml, files);
     } finally {
       files.delete();
     }
     this.free();
-    this.model = model;
+    Object.assign(this, { design, model, policy: design.layers && new Policy(design.layers) });
     this.data = new this.mujoco.MjData(model);
     this.dt = model.opt.timestep; // s
     this.object = this.body("object");
     this.button = this.body("button");
+    this.reset({ position: [0, 0], turn: 0 });
   }
 
   free() {
