@@ -70,8 +70,8 @@ class Show {
 
   place() {
     this.shown.forEach(({ label }, i) => {
-      const { left, top, width, height } = this.stage.rectangle(i);
-      Object.assign(label.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
+      const { left, top, width } = this.stage.rectangle(i);
+      Object.assign(label.style, { left: `${left}px`, top: `${top}px`, maxWidth: `${width}px` });
     });
   }
 
@@ -218,6 +218,7 @@ function connect(show) {
     event.preventDefault();
     act();
   });
+  $("theme").addEventListener("click", () => show.stage.paint()); // after the page has changed
   new ResizeObserver(() => show.place()).observe($("stage"));
 }
 

@@ -139,7 +139,7 @@ class Stage {
   constructor(canvas, { slow }) {
     this.canvas = canvas;
     this.quality = slow ? QUALITIES.length - 2 : 0;
-    this.renderer = new THREE.WebGLRenderer({ canvas, alpha: true, antialias: !slow, powerPreference: "high-performance" });
+    this.renderer = new THREE.WebGLRenderer({ canvas, alpha: false, antialias: !slow, powerPreference: "high-performance" });
     this.renderer.shadowMap.enabled = QUALITIES[this.quality][1];
     this.camera = new THREE.PerspectiveCamera(32, 1, 0.05, 20);
     this.camera.up.set(0, 0, 1);
@@ -147,6 +147,7 @@ class Stage {
     Object.assign(this.orbit, { minDistance: 0.4, maxDistance: 6, maxPolarAngle: 1.52, enablePan: false });
     this.views = [];
     this.frames = [];
+    this.paint();
     this.home();
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
   }
@@ -165,6 +166,11 @@ class Stage {
     this.orbit.target.set(...LOOK_AT);
     this.camera.position.copy(sight.add(this.orbit.target));
     this.orbit.update();
+  }
+
+  /** Take the colour behind everything from the style: a canvas that is opaque is drawn faster. */
+  paint() {
+    this.renderer.setClearColor(getComputedStyle(this.canvas.parentElement).backgroundColor);
   }
 
   get stacked() {
