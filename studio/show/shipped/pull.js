@@ -1,7 +1,10 @@
 // Forces that a person applies: a spring from a point of a body to the pointer, and a short push against the object.
 
-const PULL = { stiffness: 220, mass: 0.25, most: 25 }; // 1/s^2 for each kg that is pulled, kg at least, N at most
+const PULL = { stiffness: 1200, most: 25 }; // 1/s^2 for each kg that the held point weighs, and N; stiffer springs shake at 100 steps a second
+const LINK = 0.25; // kg that a point of a finger weighs at least: its drive's armature, at the end of a link
 const PUSH = { weights: 1.5, seconds: 0.12 }; // how many times the object's weight, and for how long
+
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 
 class Forces {
   constructor(world) {
@@ -11,10 +14,30 @@ class Forces {
 
   /** Hold a body at a point in the world (m). */
   hold(body, point) {
+    if (body === this.world.button) body = this.world.object; // it is so light that a spring would shake it
     const { data } = this.world, at = data.xpos.slice(3 * body, 3 * body + 3), r = data.xmat.slice(9 * body, 9 * body + 9);
     const d = point.map((x, i) => x - at[i]);
     this.held = { body, local: [0, 1, 2].map((j) => r[j] * d[0] + r[j + 3] * d[1] + r[j + 6] * d[2]), target: point };
+    this.held.mass = body === this.world.object ? this.weight(body, point) : LINK;
     this.before = null;
+  }
+
+  /** Return what a free body weighs (kg) at a point, in the direction in which that is least. */
+  weight(body, point) {
+    const { data, model } = this.world, mass = model.body_subtreemass[body], inertia = model.body_inertia.slice(3 * body, 3 * body + 3);
+    const m = data.ximat.slice(9 * body, 9 * body + 9), r = point.map((x, i) => x - data.xipos[3 * body + i]);
+    const answer = (force) => { // of the point, an acceleration
+      const torque = cross(r, force), own = [0, 1, 2].map((j) => (m[j] * torque[0] + m[j + 3] * torque[1] + m[j + 6] * torque[2]) / inertia[j]);
+      const turn = cross([0, 1, 2].map((i) => m[3 * i] * own[0] + m[3 * i + 1] * own[1] + m[3 * i + 2] * own[2]), r);
+      return force.map((f, i) => f / mass + turn[i]);
+    };
+    let way = [0.6, 0.5, 0.62], size = 1;
+    for (let i = 0; i < 20; i++) {
+      const next = answer(way);
+      size = Math.hypot(...next);
+      way = next.map((x) => x / size);
+    }
+    return 1 / size;
   }
 
   release() {
@@ -42,11 +65,10 @@ class Forces {
   }
 
   applyPull(dt) {
-    const { world, held } = this, { data, model } = world, point = this.point();
-    const mass = Math.max(model.body_subtreemass[held.body], PULL.mass), { stiffness: k } = PULL;
+    const { world, held } = this, { data } = world, point = this.point(), { stiffness: k } = PULL;
     const speed = this.before ? point.map((x, i) => (x - this.before[i]) / dt) : [0, 0, 0];
     this.before = point;
-    const force = held.target.map((x, i) => mass * (k * (x - point[i]) - 2 * Math.sqrt(k) * speed[i]));
+    const force = held.target.map((x, i) => held.mass * (k * (x - point[i]) - 2 * Math.sqrt(k) * speed[i]));
     const size = Math.hypot(...force), share = Math.min(1, PULL.most / Math.max(size, 1e-9));
     this.add(held.body, force.map((f) => share * f), point.map((x, i) => x - data.xipos[3 * held.body + i]));
     world.disturbed = true;
@@ -61,7 +83,7 @@ class Forces {
 
   add(body, f, r) {
     const applied = this.world.data.xfrc_applied, k = 6 * body;
-    const torque = [r[1] * f[2] - r[2] * f[1], r[2] * f[0] - r[0] * f[2], r[0] * f[1] - r[1] * f[0]];
+    const torque = cross(r, f);
     for (let i = 0; i < 3; i++) {
       applied[k + i] += f[i];
       applied[k + 3 + i] += torque[i];
