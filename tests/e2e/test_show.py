@@ -203,8 +203,8 @@ def test_a_dragged_object_follows_the_pointer(
         const there = forces.point();
         return forces.held.target.map((x, i) => x - there[i]);
     })"""
-    assert np.linalg.norm(page.evaluate(way)) < 0.06  # m: the pen's weight stretches the spring by two thirds of this
-    assert page.evaluate("show.ready.then(({ shown: [{ world }] }) => world.disturbed)")
+    assert np.linalg.norm(page.evaluate(way)) < 0.08  # m: the pen's weight stretches the spring by half of this
+    assert page.evaluate("show.ready.then(({ shown: [{ world }] }) => world.disturbed && !world.diverged)")
     page.mouse.up()
     assert page.evaluate("show.ready.then(({ shown: [{ forces }] }) => forces.held)") is None
 
