@@ -2,11 +2,10 @@
 
 import contextlib
 import dataclasses
-import difflib
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from morph_core.config import Settings, check_value, flattened, kinds_of, paths_of, range_of
+from morph_core.config import Settings, check_value, flattened, guess, kinds_of, paths_of, range_of
 from morph_core.contract import check_task
 from morph_core.exploration import Exploration
 from morph_core.format_1 import RENAMED
@@ -189,8 +188,7 @@ def _refusal(name: str, allowed: list[str], chosen: Settings) -> str:
     others = [other for other in METHODS if name in _everything(METHODS[other]())]
     if others and isinstance(chosen, Method):
         return f'"{name}" does nothing for {chosen.name}, only for {" or ".join(others)}; {list_of}'
-    near = difflib.get_close_matches(name, allowed, 1)
-    return f'unknown setting "{name}"{f" (did you mean {near[0]}?)" if near else ""}; {list_of}'
+    return f'unknown setting "{name}"{guess(name, allowed)}; {list_of}'
 
 
 def _everything(method: Method) -> set[str]:

@@ -1,9 +1,10 @@
 """Settings: frozen dataclasses that check themselves, each number with its range beside it."""
 
 import dataclasses
+import difflib
 import math
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -68,7 +69,8 @@ def check_value(name: str, annotation: Any, value: object) -> object:
     choices = typing.get_args(bare) if typing.get_origin(bare) is Literal else ()
     if choices:
         if value not in choices:
-            raise ValueError(f'unknown {name} "{value}"; choose from: {", ".join(map(str, choices))}')
+            words = [str(choice) for choice in choices]
+            raise ValueError(f'unknown {name} "{value}"{guess(str(value), words)}; choose from: {", ".join(words)}')
         return value
     if bare not in (int, float):
         if isinstance(bare, type) and bare is not Any and not isinstance(value, bare):
@@ -83,6 +85,14 @@ def check_value(name: str, annotation: Any, value: object) -> object:
     if meta:
         _check_range(name, meta, value)
     return bare(value)
+
+
+def guess(word: str, words: Iterable[str]) -> str:
+    """Return which of `words` may be meant by one that is none of them, in brackets; "" where none is near."""
+    known = {other.lower(): other for other in words}
+    begun = [other for other in known if len(word) > 1 and other.startswith(word.lower())]
+    near = begun or difflib.get_close_matches(word.lower(), known, 1)
+    return f" (did you mean {known[near[0]]}?)" if near else ""
 
 
 def _check_range(name: str, meta: Meta, value: float) -> None:

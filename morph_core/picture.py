@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-WIDTH, HEIGHT = 720, 540
 _OVERSAMPLING = 2
 """Pixels along a side that are averaged to one."""
 _EDGE_ON = 1e-9
 """Cosine between a face's normal and the sight below which nothing of the face is seen."""
-_FROM_THE_SIDE = np.array([0.75, -0.95, 0.5])
 _FILLED = 0.92
 """Share of the picture's width or height that what is framed takes."""
 
@@ -62,12 +60,6 @@ class Camera:
 
 
 BESIDE_THE_CAMERA = Light(np.array([0.35, 0.25, 0.9]), 0.35)
-
-
-def picture(surfaces: Sequence[Surface]) -> bytes:
-    """Return a PNG on a transparent ground, seen from the side and above."""
-    points = np.concatenate([triangles.reshape(-1, 3) for triangles, _ in surfaces])
-    return png(draw(surfaces, Camera.framing(points, _FROM_THE_SIDE, WIDTH, HEIGHT)))
 
 
 def draw(surfaces: Sequence[Surface], camera: Camera, light: Light = BESIDE_THE_CAMERA) -> np.ndarray:

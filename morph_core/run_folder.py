@@ -264,11 +264,12 @@ def passed_over(runs: Path) -> dict[str, str]:
     """Return the names of folders in `runs` that may be runs and yet can't be opened, each with the reason."""
     found = {}
     for entry in _entries(runs):
+        name = os.fsencode(entry.name).decode(errors="backslashreplace")  # may hold what is no character
         if entry.is_symlink() and entry.is_dir():
-            found[entry.name] = "it is a link to a folder elsewhere: move the folder itself to here"
+            found[name] = "it is a link to a folder elsewhere: move the folder itself to here"
         elif entry.is_dir() and not RUN_ID.fullmatch(entry.name) and (Path(entry.path) / "run.json").is_file():
             allowed = "letters, digits, dot, dash and underscore, at most 128"
-            found[entry.name] = f"its name has other characters than {allowed}: rename the folder"
+            found[name] = f"its name has other characters than {allowed}: rename the folder"
     return found
 
 

@@ -1,6 +1,7 @@
 """What a task is, and what hardware is: the two protocols that everything else is written against."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -38,6 +39,19 @@ class HardwareOfEpisodes(Hardware, Protocol):
     def of(self, episodes: np.ndarray) -> Hardware:
         """Return the hardware of the episodes with these indices (M,), for M pairs (s, a), or any multiple of M."""
         ...
+
+
+Watch = Callable[[np.ndarray, np.ndarray], None]
+"""Function that is shown every step of the physics: the joints' speeds (N, nv) at its start, in m/s or rad/s, and the
+forces (N, nu) of the actuators, in N or N m, with which it begins."""
+
+
+@runtime_checkable
+class WatchedHardware(Hardware, Protocol):
+    """Hw-Phy that MuJoCo simulates, and that can be watched at it."""
+
+    watch: Watch | None
+    """Function that is shown every step of the physics; None where nobody watches."""
 
 
 @dataclass(frozen=True)

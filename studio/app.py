@@ -6,7 +6,6 @@ import secrets
 import socket
 import sys
 import threading
-import webbrowser
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -20,6 +19,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import ASGIApp
 
 from morph_core.history import History
@@ -32,6 +32,7 @@ from studio.api.desks import desks_router
 from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
+from studio.api.news import news_router
 from studio.api.runs import runs_router
 from studio.api.shelf import shelf_router
 from studio.api.study import study_router
@@ -39,10 +40,13 @@ from studio.api.tasks import tasks_router
 from studio.api.what_if import what_if_router
 from studio.branches import tree_of
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
+from studio.browser import open_in_browser
 from studio.desks import Desks
 from studio.evaluator import Evaluator, EvaluatorError
 from studio.export.bundle import Bundle, build_bundle
 from studio.new_run import Branch, StartRun
+from studio.news import News
+from studio.prefix import Prefixed
 from studio.runs import Runs
 from studio.security import Access, Guard
 from studio.settings import Settings
@@ -56,6 +60,8 @@ from studio.what_if import WhatIfs
 
 SHOW_INTERVAL = 0.2
 """Seconds between two looks at the runs for the viewer."""
+NARROW_PAGE = 900
+"""Width in pixels below which a page begins with one column of panels: the scene keeps more than a third of it."""
 _log = logging.getLogger(__name__)
 
 
@@ -83,11 +89,16 @@ class Shows(Protocol):
 
 
 class _GuardedApp(FastAPI):
-    """An application whose guard stands before everything else, so that error pages pass it too."""
+    """An application whose guard stands before everything else, so that error pages pass it too.
+
+    Before the guard it is found out under which path a proxy serves it; what passes the guard is compressed.
+    """
 
     def build_middleware_stack(self) -> ASGIApp:
         """Return FastAPI's own stack inside the guard."""
-        return Guard(super().build_middleware_stack(), self.state.access)
+        compressed = GZipMiddleware(super().build_middleware_stack(), compresslevel=6)
+        settings: Settings = self.state.settings
+        return Prefixed(Guard(compressed, self.state.access), settings.root_path, settings.proxies)
 
 
 def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: Album) -> Desks:
@@ -96,11 +107,18 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
     def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
         return runs.start(_branch(runs.get(run_id), iteration, phi))
 
-    def on_export(run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None) -> Bundle:
-        return build_bundle(runs.get(run_id), which, formats, phi)
+    def on_export(
+        run_id: str,
+        which: str,
+        formats: Sequence[str] | None,
+        phi: list[float] | None,
+        servo: str | None,
+        printer: str | None,
+    ) -> Bundle:
+        return build_bundle(runs.get(run_id), which, formats, phi, servo, printer)
 
     def make(client: viser.ClientHandle) -> Viewer:
-        return Viewer(
+        viewer = Viewer(
             client,
             on_command=runs.send,
             on_start=runs.start,
@@ -110,7 +128,11 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
             answers=what_ifs,
             family=lambda run_id: tree_of(run_id, runs.parents()),
             album=album,
+            others=runs,
         )
+        if 0 < client.camera.image_width < NARROW_PAGE:
+            viewer.playback.panel.minimize()  # with the column in which it stands
+        return viewer
 
     return Desks(server, make)
 
@@ -134,7 +156,9 @@ def create_app(
     launcher: Slurm | None = None,
     desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album], Shows] = make_desks,
 ) -> FastAPI:
-    """Return the application; `app.state` holds `access`, `runs`, `evaluator` and, while it runs, `viser` and `desks`.
+    """Return the application.
+
+    `app.state` holds `settings`, `access`, `stopping`, `runs`, `evaluator` and, while it runs, `viser` and `desks`.
 
     New runs are started by `launcher`, by default as processes of this machine.
     """
@@ -180,7 +204,7 @@ def create_app(
         max_body_size=MAX_BODY,
         telemetry={"tracing": False, "metrics": False, "logs": False},  # would carry the link's token elsewhere
     )
-    app.state.access = Access(settings)
+    app.state.settings, app.state.access, app.state.stopping = settings, Access(settings), stopping
     app.state.runs, app.state.evaluator = watched, evaluator
     for router in (
         tasks_router(),
@@ -192,6 +216,7 @@ def create_app(
         what_if_router(watched, what_ifs),
         study_router(report),
         shelf_router(watched, thumbnails),
+        news_router(News(watched), boot, stopping),
         desks_router(),
         viewer_router(),
         docs_router(),
@@ -253,17 +278,23 @@ def _add_refusals(app: FastAPI) -> None:
 
 
 class _Server(uvicorn.Server):
-    """A server that calls `on_started` once it is up."""
+    """A server that calls `on_started` once it is up, and `on_stop` before it waits for the last answers."""
 
-    def __init__(self, config: uvicorn.Config, on_started: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, on_started: Callable[[], None], on_stop: Callable[[], None]) -> None:
         super().__init__(config)
         self.on_started = on_started
+        self.on_stop = on_stop
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start, and call `on_started` if that worked."""
         await super().startup(sockets)
         if self.started:
             self.on_started()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Call `on_stop`, and stop."""
+        self.on_stop()
+        await super().shutdown(sockets)
 
 
 def serve(settings: Settings, launcher: Slurm | None = None) -> None:
@@ -276,7 +307,7 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
     app = create_app(settings, launcher=launcher)
     access: Access = app.state.access
     name = f"[{settings.host}]" if ":" in settings.host else settings.host
-    address = f"http://{name}:{listener.getsockname()[1]}/"
+    address = f"http://{name}:{listener.getsockname()[1]}{settings.root_path}/"
 
     def announce() -> None:
         link = f"{address}?token={access.ticket}"
@@ -284,7 +315,7 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
         shown = link if settings.is_loopback else f"{address}?token=..."
         print(f"MORPH Studio: {shown}", flush=True)  # noqa: T201
         if settings.open_browser:
-            threading.Thread(target=webbrowser.open, args=(link,), daemon=True).start()
+            threading.Thread(target=open_in_browser, args=(link,), daemon=True).start()
 
     access.on_ticket_used = lambda: print(  # noqa: T201
         f"link used; for another browser: {address}?token={access.ticket}", flush=True
@@ -297,9 +328,10 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
         ws_per_message_deflate=False,
         ws_max_size=MAX_MESSAGE,
         timeout_graceful_shutdown=2,
+        proxy_headers=False,  # the application's own: it needs the proxy's address too
     )
     with contextlib.suppress(KeyboardInterrupt):
-        _Server(config, announce).run(sockets=[listener])
+        _Server(config, announce, app.state.stopping.set).run(sockets=[listener])
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -53,7 +53,7 @@ class Desks:
     @property
     def selected(self) -> frozenset[str]:
         """Return the names of the runs that are on some browser's screen."""
-        return frozenset(run for _, viewer in self._seated() if (run := viewer.selected) is not None)
+        return frozenset(run for _, viewer in self._seated() for run in viewer.runs_on_screen)
 
     def show(
         self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None

@@ -1,5 +1,6 @@
 """Why a trainer is dead: what its own log, its exit status and those who saw it alive say."""
 
+import os
 import platform
 import signal
 import subprocess
@@ -36,10 +37,20 @@ class Child:
 
 
 def start_child(folder: RunFolder, spawn: Callable[[], subprocess.Popen[bytes]]) -> Child:
-    """Start a trainer by `spawn` and remember what there was before it."""
+    """Start a trainer by `spawn` and remember what there was before it; OSError where it could write nothing."""
+    _check_writable(folder)
     log_start = _log_size(folder)
     spawned = time.time()
     return Child(folder, spawn(), spawned, log_start)
+
+
+def _check_writable(folder: RunFolder) -> None:
+    """Raise PermissionError, with a sentence, where a trainer could not write what it learns."""
+    open_to_us = os.access(folder.path, os.W_OK | os.X_OK)
+    if not open_to_us or (folder.events.exists() and not os.access(folder.events, os.W_OK)):
+        raise PermissionError(
+            f"{folder.id} is read-only for the user of this process: copy its folder to where it can be written to"
+        )
 
 
 def cause_of_death(folder: RunFolder, code: int | None, log_start: int = 0) -> str:

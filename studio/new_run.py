@@ -20,7 +20,7 @@ from morph_core.protocol import FORMAT, Parameter, Parent, RunRecord
 from morph_core.run_folder import RunFolder, RunFolderError, create_run, find_run, new_run_id
 from morph_core.task import Task
 from studio import limits
-from studio.versions import versions_of
+from studio.versions import hardware, versions_of
 
 DEFAULT_ITERATIONS = 100
 PACKAGES = ("morph-studio", "numpy", "torch", "mujoco", "cma", "viser")
@@ -38,8 +38,8 @@ class Machine:
 
 
 def machine() -> Machine:
-    """Return the versions of what runs depend on, and the state of the checkout this code runs from."""
-    return Machine(versions_of(*PACKAGES), *git_state())
+    """Return the versions of what runs depend on, the processor, and the state of the checkout this code runs from."""
+    return Machine(versions_of(*PACKAGES) | hardware(), *git_state())
 
 
 class Branch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

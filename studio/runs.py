@@ -138,18 +138,29 @@ class Runs:
             line = Summary(id=run_id, status="unreadable", reason=reason[:LONGEST_REASON])
         return msgspec.structs.replace(line, marks=self.marks(folder))
 
-    def summaries(self) -> list[Summary]:
-        """Return all runs, newest first, and at the end the folders that are none but seem to be meant as such."""
+    def summaries(self, names: Collection[str] | None = None) -> list[Summary]:
+        """Return all runs, newest first, and at the end the folders that are none but seem to be meant as such.
+
+        With `names`, return only those of them that have these names.
+        """
         lines = []
         for run_id in self.ids():
+            if names is not None and run_id not in names:
+                continue
             with contextlib.suppress(RunFolderError):  # removed this very moment
                 lines.append(msgspec.structs.replace(self.summary(run_id), current=run_id == self.shown))
-        refused = passed_over(self.folder)
-        return lines + [Summary(id=name, status="unreadable", reason=why) for name, why in sorted(refused.items())]
+        refused = sorted(
+            (name, why) for name, why in passed_over(self.folder).items() if names is None or name in names
+        )
+        return lines + [Summary(id=name, status="unreadable", reason=why) for name, why in refused]
 
-    def rows(self) -> list[Row]:
-        """Return all runs with what they have come to, newest first."""
-        return [self._row(line) for line in self.summaries()]
+    def of_task(self, task: str) -> dict[str, str]:
+        """Return what people call each run of a task that can be read, or "", by the run's own name, newest first."""
+        return {s.id: s.marks.name for s in self.summaries() if s.task == task and s.status != "unreadable"}
+
+    def rows(self, names: Collection[str] | None = None) -> list[Row]:
+        """Return all runs with what they have come to, newest first; or, of those with these names, all there are."""
+        return [self._row(line) for line in self.summaries(names)]
 
     def row(self, run_id: str) -> Row:
         """Return one run with what it has come to; raise RunFolderError if there is no such run."""

@@ -18,6 +18,7 @@ from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Re
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from studio.settings import Settings
+from studio.visits import is_visit
 
 OPEN_PATHS = frozenset({"/healthz"})
 """Paths that need no token. Host and Origin are checked for them too."""
@@ -124,7 +125,7 @@ class Guard:
 
     def _answer(self, scope: Scope) -> Response | None:
         """Return the refusal, the cookie for a good link, or None where the request may pass."""
-        headers, path = Headers(scope=scope), scope["path"]
+        headers, path = Headers(scope=scope), scope["path"].removeprefix(scope.get("root_path", ""))
         why = self.access.refusal(headers)
         if why:
             return JSONResponse({"detail": why}, 403)
@@ -133,10 +134,11 @@ class Guard:
         known = self.access.knows(headers)
         if path in PAGES and scope["method"] in ("GET", "HEAD"):
             ticket = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-            if ticket and (known or self.access.redeem(ticket)):
-                return self._enter(scope)
+            visit = is_visit(scope["method"], headers)
+            if ticket and (known or (visit and self.access.redeem(ticket))):
+                return self._enter(scope, path)
             if not known:
-                return _login_page(path, bool(ticket), headers.get("sec-fetch-site") == "cross-site")
+                return _login_page(path, bool(ticket) and visit, headers.get("sec-fetch-site") == "cross-site")
         if known:
             return None
         return JSONResponse(
@@ -145,8 +147,9 @@ class Guard:
             {"WWW-Authenticate": "Bearer"},
         )
 
-    def _enter(self, scope: Scope) -> Response:
-        response = RedirectResponse(scope["path"], 303)
+    def _enter(self, scope: Scope, path: str) -> Response:
+        """Return the cookie and the way to the page, relative: proxies cut off a prefix, or put one before it."""
+        response = RedirectResponse(f".{path}", 303)
         response.set_cookie(
             self.access.cookie_name,
             self.access.cookie,
@@ -235,7 +238,7 @@ def _login_page(path: str, tried: bool, from_elsewhere: bool) -> Response:
     A link followed from another site arrives without its SameSite=Strict cookie, even right after it was set: one
     reload from this page itself brings it along.
     """
-    again = f'<meta http-equiv="refresh" content="0;url={path}">' if from_elsewhere else ""
+    again = f'<meta http-equiv="refresh" content="0;url=.{path}">' if from_elsewhere else ""
     reason = (
         "That token does not fit, or its link was used already (each link works once; the newest is in the terminal)."
         if tried

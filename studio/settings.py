@@ -5,6 +5,8 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from studio.prefix import check_prefix
+
 
 def default_port() -> int:
     """Return PORT from the environment, or 8000; raise ValueError if it is no number."""
@@ -16,7 +18,24 @@ def default_port() -> int:
 
 def default_runs() -> Path:
     """Return MORPH_RUNS from the environment, or the folder `runs`."""
-    return Path(os.environ.get("MORPH_RUNS") or "runs")
+    return at_home(os.environ.get("MORPH_RUNS") or "runs")
+
+
+def at_home(path: str | Path) -> Path:
+    """Return a path with ~ or ~user at its start replaced by that home; as it is where there is no such home."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        return Path(path)
+
+
+def default_root_path() -> str:
+    """Return MORPH_ROOT_PATH from the environment, or nothing."""
+    return os.environ.get("MORPH_ROOT_PATH") or ""
+
+
+def _proxies() -> str:
+    return os.environ.get("FORWARDED_ALLOW_IPS") or "127.0.0.1,::1"
 
 
 def _token() -> str | None:
@@ -28,7 +47,7 @@ def _hosts() -> tuple[str, ...]:
 
 
 def _state() -> Path:
-    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "morph-studio"
+    return at_home(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "morph-studio"
 
 
 @dataclass(frozen=True)
@@ -46,12 +65,18 @@ class Settings:
     browser in."""
     hosts: tuple[str, ...] = field(default_factory=_hosts)
     """Further names under which this server is reached, e.g. behind a proxy; from MORPH_HOSTS, comma-separated."""
+    root_path: str = field(default_factory=default_root_path)
+    """Path under which a proxy serves the studio, such as /studio, from MORPH_ROOT_PATH; empty where it does not."""
+    proxies: str = field(default_factory=_proxies)
+    """Addresses and networks of proxies that are believed where a request comes from and under which path, between
+    commas; from FORWARDED_ALLOW_IPS, by default this machine's."""
     state: Path = field(default_factory=_state)
     """Folder of the key behind the cookie, which lets an open page survive a restart of the server."""
     open_browser: bool = True
     """Whether to open the page in the browser once the server is up."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "root_path", check_prefix(self.root_path))
         if not 0 <= self.port <= 65535:
             raise ValueError(f"the port must lie in 0 to 65535, not {self.port}")
         if self.token is not None and not (self.token.isascii() and self.token.isprintable() and self.token.strip()):

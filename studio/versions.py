@@ -1,8 +1,10 @@
-"""The versions of Python and of packages, for the record of a run and of an export."""
+"""The versions of Python and of packages, and the processor, for the record of a run and of an export."""
 
 import contextlib
 import importlib.metadata
 import platform
+
+from morph_core.processor import instruction_set, processor
 
 
 def versions_of(*packages: str) -> dict[str, str]:
@@ -12,3 +14,8 @@ def versions_of(*packages: str) -> dict[str, str]:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found[name] = importlib.metadata.version(name)
     return found
+
+
+def hardware() -> dict[str, str]:
+    """Return what the last bits of results depend on beside the versions: the processor and its instruction set."""
+    return {"processor": processor(), "instruction_set": instruction_set()}

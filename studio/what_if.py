@@ -4,7 +4,7 @@ The policy is that of the newest checkpoint up to the iteration whose design was
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -23,6 +23,9 @@ POINTS = 9
 _COARSE_TO_FINE = (0, 8, 4, 2, 6, 1, 3, 5, 7)
 """Order of the values of a sweep, so that every curve is there early and gets finer."""
 Episodes = Annotated[int, msgspec.Meta(ge=1, le=10_000)]
+Policy = Literal["sampled", "deterministic"]
+POLICIES: tuple[Policy, ...] = get_args(Policy)
+"""Ways to act: by actions that are drawn from the policy's distribution, or by its means."""
 Phi = list[float] | dict[str, float]
 """Design as all of its values, or as some by name, which are laid over the design that was chosen."""
 
@@ -35,7 +38,7 @@ class Wish(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     phi: Phi | None = None
     episodes: Episodes = 128
     seed: Annotated[int, msgspec.Meta(ge=0, le=LARGEST_SEED)] = 0
-    policy: Literal["sampled", "deterministic"] = "sampled"
+    policy: Policy = "sampled"
 
 
 class WhatIf(Measured, frozen=True, kw_only=True):

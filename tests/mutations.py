@@ -507,6 +507,48 @@ MUTANTS: tuple[Mutant, ...] = (
         f"{CORE}/control.py", "core/test_sees_phi.py",
         ("self._hidden, weights, self._sees_phi)", "self._hidden, weights)"),
     ),
+    # --- servos ---
+    *_of(
+        f"{CORE}/tasks/servos.py", "core/test_servos.py",
+        ("torque * KILOGRAM_FORCE * 0.01", "torque * KILOGRAM_FORCE"),
+        ("speed * 2 * math.pi / 60", "speed / 60"),
+        ("math.pi / 3 / seconds", "math.pi / 6 / seconds"),
+        ("side * 0.001 for", "side for"),
+    ),
+    *_of(
+        f"{CORE}/tasks/grasp.py", "core/test_servos.py",
+        ("no_load_speed * self.control_dt", "no_load_speed"),
+        ("step = min(step, SERVOS", "step = max(step, SERVOS"),
+        ("servo=self.servo, servo_limits=self.servo_limits)", "servo=self.servo)"),
+    ),
+    *_of(
+        f"{CORE}/tasks/simulation.py", "core/test_servos.py",
+        ("for _ in range(SUBSTEPS):", "for _ in range(SUBSTEPS - 1):"),
+        ("batch.step(nstep=1)", "batch.step(nstep=2)"),
+    ),
+    *_of(
+        "studio/export/demand.py", "studio/test_servos.py",
+        ("[:, recorder.kept]", "[:, ~recorder.kept]"),
+        ("speeds[:, model.jnt_dofadr[joint]]", "speeds[:, 0]"),
+        ("np.percentile(np.abs(values)", "np.percentile(values"),
+        ('method="inverted_cdf"', 'method="linear"'),
+        ("SHARE = 95.0", "SHARE = 90.0"),
+        ("force * speed > 0, pull + turn", "force * speed > 0, np.fmax(pull, turn)"),
+        ("np.maximum(pull, turn)", "pull + turn"),
+    ),
+    *_of(
+        "studio/export/servos.py", "studio/test_servos.py",
+        ("if need_of > limit * (1 + _ROUNDING)", "if need_of >= limit * (1 - 2 * _ROUNDING)"),
+        ('("peak speed", row.speed_peak, sheet.no_load_speed)', '("peak speed", row.speed_95, sheet.no_load_speed)'),
+        ("row.torque_95 > sheet.rated_torque", "row.torque_95 < sheet.rated_torque"),
+        ("servo, chosen = full[0]", "servo, chosen = full[-1]"),
+    ),
+    *_of(
+        "studio/export/materials.py", "studio/test_servos.py",
+        ("mass=sum(line.quantity * (line.mass or 0.0)", "mass=sum((line.mass or 0.0)"),
+        ("{1000 * quantity * mass:.2f}", "{quantity * mass:.2f}"),
+        ("{quantity * price[0]:g}-", "{price[0]:g}-"),
+    ),
     *_of(
         "studio/export/policy.py", "core/test_sees_phi.py",
         ("bias + weight[:, -len(phi) :] @ seen", "bias"),
@@ -693,8 +735,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/viewer/steer.py",
-        "studio/test_viewer.py::test_steering_sends_only_what_was_changed "
-        "studio/test_viewer.py::test_what_somebody_types_into_the_steering_form_stays_until_something_changes",
+        "studio/test_steering.py::test_steering_sends_only_what_was_changed "
+        "studio/test_steering.py::test_what_somebody_types_into_the_steering_form_stays_until_something_changes",
         ("if alpha != in_force[0] else []", ""),
         ("if in_force != self._in_force", "if True"),
     ),

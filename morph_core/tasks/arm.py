@@ -9,6 +9,8 @@ from morph_core.tasks import palette
 from morph_core.tasks.printed import arm_link_inertial, set_inertial
 
 LINK_RADIUS = 0.06  # m
+FOOT_RADIUS, FOOT_THICKNESS = 2 * LINK_RADIUS, 0.03  # m
+FOOT_CLEARANCE = 0.002  # m: between the foot and the link that turns above it
 JOINT_DAMPING = 1.0  # N m s/rad
 JOINT_ARMATURE = 0.1  # kg m^2
 SERVO_KP = 2000.0  # N m/rad
@@ -29,9 +31,10 @@ class Arm:
         spec.modelname = name
         body = spec.worldbody
         foot = body.add_geom(
-            name="base", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[2 * LINK_RADIUS, LINK_RADIUS, 0], rgba=palette.BASE
-        )
-        foot.contype = foot.conaffinity = 0  # the first link turns inside it, which no engine takes for neighbours
+            name="base", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[FOOT_RADIUS, FOOT_THICKNESS / 2, 0],
+            pos=[0, 0, -LINK_RADIUS - FOOT_CLEARANCE - FOOT_THICKNESS / 2], rgba=palette.BASE,
+        )  # fmt: skip
+        foot.contype = foot.conaffinity = 0  # it carries the first link, which no engine takes for neighbours
         for i, length in enumerate(phi):
             body = body.add_body(name=f"link_{i + 1}", pos=[phi[i - 1] if i else 0.0, 0.0, 0.0])
             body.add_joint(

@@ -23,6 +23,7 @@ from morph_core.task import Hardware, Task, Transition
 from morph_core.tasks import palette
 from morph_core.tasks.hand import OBJECT_CONTACT, TABLE_CONTACT, Hand
 from morph_core.tasks.printed import Servo
+from morph_core.tasks.servos import SERVOS, ServoLimits
 from morph_core.tasks.simulation import SUBSTEPS, TIMESTEP, HandPhysics, add_contact_sensor, set_physics
 
 OBJECT_FRICTION = (0.8, 0.02, 0.0005)
@@ -100,6 +101,9 @@ class GraspTask(Settings, Task):
     two on its body besides the one that presses ("two_besides_presser")."""
     servo: Servo = "none"
     """The servo for which the palm has pockets, one above each finger: they cost mass, and fingers need more room."""
+    servo_limits: ServoLimits = "none"
+    """The real servo, one for each joint of a finger, within whose limits the hand learns: its stall torque limits the
+    joint's torque (4 N m without one), its no-load speed how far a target may move in a control step."""
     initial_length: NotNegative = 0.12
     """m: length of both links of every finger of the initial design."""
     lift_height: NotNegative = 0.05
@@ -178,7 +182,7 @@ class GraspTask(Settings, Task):
     @property
     def hand(self) -> Hand:
         """The hand, without a design: what all designs of the task share."""
-        return Hand(self.fingers, self.initial_length, servo=self.servo)
+        return Hand(self.fingers, self.initial_length, servo=self.servo, servo_limits=self.servo_limits)
 
     @property
     def robot(self) -> Hand:
@@ -230,7 +234,10 @@ class GraspTask(Settings, Task):
     @property
     def action_units(self) -> np.ndarray:
         """Largest change of each servo's target (action_size,), in m or rad."""
-        return np.array([self.palm_step, *[self.joint_step] * (2 * self.fingers)])
+        step = self.joint_step
+        if self.servo_limits != "none":
+            step = min(step, SERVOS[self.servo_limits].no_load_speed * self.control_dt)
+        return np.array([self.palm_step, *[step] * (2 * self.fingers)])
 
     def split(self, s: np.ndarray) -> list[np.ndarray]:
         """Return qpos (N, nq), qvel (N, nv) and the warm start (N, nv) of states s."""

@@ -10,6 +10,7 @@ from morph_core.design import DesignSpace
 from morph_core.protocol import Parameter
 from morph_core.tasks import palette
 from morph_core.tasks.printed import Servo, link_inertial, palm_inertial, set_inertial
+from morph_core.tasks.servos import SERVOS, ServoLimits
 
 PALM_RADIUS = 0.06  # m
 PALM_THICKNESS = 0.024  # m
@@ -44,6 +45,7 @@ class Hand:
     initial_length: float
     start_clearance: float = START_CLEARANCE
     servo: Servo = "none"
+    servo_limits: ServoLimits = "none"
 
     @cached_property
     def base_angles(self) -> np.ndarray:
@@ -54,6 +56,11 @@ class Hand:
     def joints(self) -> int:
         """Number of joints: the palm's slide and two hinges per finger."""
         return 1 + 2 * self.fingers
+
+    @property
+    def joint_torque(self) -> float:
+        """Largest torque (N m) of a finger's joint: the stall torque of the servo that limits the hand, if one does."""
+        return JOINT_TORQUE if self.servo_limits == "none" else SERVOS[self.servo_limits].stall_torque
 
     @property
     def joint_range(self) -> np.ndarray:
@@ -166,7 +173,7 @@ class Hand:
                 size=[FINGER_RADIUS, 0, 0], mass=0, friction=FINGER_FRICTION, condim=4, rgba=shade,
             )  # fmt: skip
             link.contype, link.conaffinity = FINGER_CONTACT
-            _add_servo(spec, joint, joint_range, JOINT_KP, JOINT_KV, JOINT_TORQUE)
+            _add_servo(spec, joint, joint_range, JOINT_KP, JOINT_KV, self.joint_torque)
         set_inertial(proximal, link_inertial("proximal", length))
         set_inertial(distal, link_inertial("distal", length))
 

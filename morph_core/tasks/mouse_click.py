@@ -49,7 +49,7 @@ class MouseClick(GraspTask):
 
     @property
     def hand(self) -> Hand:
-        return Hand(self.fingers, self.initial_length, self.height + START_GAP, self.servo)
+        return Hand(self.fingers, self.initial_length, self.height + START_GAP, self.servo, self.servo_limits)
 
     @property
     def half_extents(self) -> np.ndarray:

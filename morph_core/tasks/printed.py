@@ -1,7 +1,8 @@
-"""Mass, centre of mass and inertia of the printed parts: polynomials in a link's length, a sum over a palm's mounts.
+"""Mass, centre of mass and inertia of the links: polynomials in a link's length, a sum over a palm's mounts.
 
-The parts are drawn in `studio.robots.geometry`, whose tests compare them with the numbers here. They are printed solid,
-so that mass is spread evenly; pins, bolts and servos are not in it.
+They were measured on solid links of PLA, 12 mm x 22 mm thick, and a palm with small mounts. The prints that
+`studio.robots.geometry` draws are as thick as the collision shapes; with their infill they have the masses here. Pins,
+bolts and servos are not in them.
 """
 
 import json
@@ -89,7 +90,7 @@ def _moments(drawn: dict[str, Any]) -> Moments:
 
 
 FILE = Path(__file__).with_name("printed.json")
-"""What was measured on the parts as they are drawn; written by `python -m studio.robots.geometry`."""
+"""What was measured on the solid links. All results rest on it: it stays as it is."""
 _MEASURED = json.loads(FILE.read_bytes())
 LINKS = {
     kind: LinkMoments(**{name: tuple(coefficients) for name, coefficients in drawn.items()})

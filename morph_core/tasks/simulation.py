@@ -10,6 +10,7 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
+from morph_core.task import Watch
 from morph_core.tasks.hand import Hand
 
 TIMESTEP = 0.01  # s
@@ -73,6 +74,7 @@ class HandPhysics:
         self._task = task
         distinct, which = np.unique(np.atleast_2d(phi), axis=0, return_inverse=True)
         models = [(scene or task.scene(design)).compile() for design in distinct]
+        self.watch: Watch | None = None
         self._models = [models[i] for i in which.reshape(-1)]
         self._batch: mujoco.batch.Batch | None = None
 
@@ -90,7 +92,7 @@ class HandPhysics:
         warnings = batch.warning
         warnings[:] = 0
         with _counted_warnings():
-            batch.step(nstep=SUBSTEPS)
+            self._advance(batch)
         after = np.concatenate(fields, 1)
         qvel = fields[1]
         with np.errstate(invalid="ignore"):
@@ -102,6 +104,16 @@ class HandPhysics:
         sensors = batch.bind("sensordata").reshape(len(s), task.hand.fingers, 2, SENSOR_SIZE).copy()
         sensors[diverged] = 0.0
         return Outcome(after, z, sensors, diverged)
+
+    def _advance(self, batch: mujoco.batch.Batch) -> None:
+        """Advance all simulations by a control step, one physics step at a time where somebody watches."""
+        if self.watch is None:
+            batch.step(nstep=SUBSTEPS)
+            return
+        for _ in range(SUBSTEPS):
+            before = batch.bind("qvel").copy()
+            batch.step(nstep=1)
+            self.watch(before, batch.bind("actuator_force").copy())
 
     def _batch_of(self, environments: int) -> mujoco.batch.Batch:
         if self._batch is None or self._batch.nsim != environments:

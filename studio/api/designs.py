@@ -13,6 +13,7 @@ from morph_core.forces import contact_forces
 from morph_core.history import History
 from morph_core.protocol import InjectDesign, Which
 from morph_core.run_folder import RunFolderError, episode_bytes, read_episode
+from morph_core.tasks.servos import SERVOS
 from studio.api.messages import (
     Accepted,
     Checked,
@@ -30,13 +31,22 @@ from studio.api.messages import (
 from studio.api.runs import state_of
 from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design, starting_from
+from studio.export.printers import CHOICES, DEFAULT
 from studio.new_run import StartRun
 from studio.runs import Runs
 
 Formats = Annotated[
     list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step, ros, ros2_control; repeated or with commas")
 ]
+Printer = Annotated[
+    str | None,
+    Query(description=f"A printer that must be able to print every part: {CHOICES}; without it {DEFAULT}"),
+]
 OtherPhi = Annotated[list[float] | None, Query(description="All values of another design in its place; repeated")]
+Servo = Annotated[
+    str | None,
+    Query(description=f"Servo with which what the policy needs is compared, in 256 episodes: {', '.join(SERVOS)}"),
+]
 WhichEpisode = Annotated[
     Which | None,
     Query(description="median, best, worst or failed, by return; without it the file as recorded, with all of them"),
@@ -52,8 +62,9 @@ _DESIGN_BODY = {
         "content": {"application/json": {"schema": {"type": "object"}}, "application/zip": _FILE},
     }
 }
-Export = Callable[[History, str, list[str] | None, list[float] | None], Bundle]
-"""Function that builds an export of a run: export(history, which design, formats or None for all, another phi)."""
+Export = Callable[[History, str, list[str] | None, list[float] | None, str | None, str | None], Bundle]
+"""Function that builds an export of a run: export(history, which design, formats or None for all, another phi, a servo
+or None, a printer or None)."""
 
 
 def designs_of(history: History) -> Designs:
@@ -93,10 +104,18 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
     """Return the routes about what a run has produced."""
     router = APIRouter(prefix="/api/runs/{run_id}", tags=["designs"])
 
-    def exported(run_id: str, which: str, formats: list[str] | None, phi: list[float] | None) -> Bundle:
+    def exported(
+        run_id: str,
+        which: str,
+        formats: list[str] | None,
+        phi: list[float] | None,
+        servo: str | None,
+        printer: str | None,
+    ) -> Bundle:
         history = runs.get(run_id)
         history.design(which)  # an unknown one is a 404, not a failed export
-        return export(history, which, [name for part in formats for name in part.split(",")] if formats else None, phi)
+        names = [name for part in formats for name in part.split(",")] if formats else None
+        return export(history, which, names, phi, servo, printer)
 
     @router.get("/metrics", responses=gives(Metrics), summary="Traces: one entry per iteration and per evaluation")
     def metrics(run_id: str) -> Response:
@@ -129,8 +148,15 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives_file("application/zip", "One design for simulators, printers and people"),
         summary="Download a design: best, latest or an iteration",
     )
-    def export_design(run_id: str, which: str, formats: Formats = None, phi: OtherPhi = None) -> Response:
-        bundle = exported(run_id, which, formats, phi)
+    def export_design(
+        run_id: str,
+        which: str,
+        formats: Formats = None,
+        phi: OtherPhi = None,
+        servo: Servo = None,
+        printer: Printer = None,
+    ) -> Response:
+        bundle = exported(run_id, which, formats, phi, servo, printer)
         return _download(bundle.name, bundle.content, "application/zip")
 
     @router.get(
@@ -138,8 +164,15 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives(Checked),
         summary="What an export would hold, and what was compared; it is refused if anything disagrees",
     )
-    def check_design(run_id: str, which: str, formats: Formats = None, phi: OtherPhi = None) -> Response:
-        bundle = exported(run_id, which, formats, phi)
+    def check_design(
+        run_id: str,
+        which: str,
+        formats: Formats = None,
+        phi: OtherPhi = None,
+        servo: Servo = None,
+        printer: Printer = None,
+    ) -> Response:
+        bundle = exported(run_id, which, formats, phi, servo, printer)
         files = [ExportedFile(path, len(content)) for path, content in sorted(bundle.files.items())]
         checks = [Comparison(c.name, c.passed, c.worst, c.allowed, c.detail) for c in bundle.checks]
         return reply(Checked(bundle.name, len(bundle.content), files, checks))

@@ -24,11 +24,11 @@ def page_of(document: dict[str, Any]) -> str:
     """Return the page that lists routes and messages."""
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>MORPH Studio API</title>'
-        '<meta name="viewport" content="width=device-width"><link rel="icon" href="/page/icon.svg">'
-        '<link rel="stylesheet" href="/page/docs.css"></head><body><main><h1>MORPH Studio API</h1>'
+        '<meta name="viewport" content="width=device-width"><link rel="icon" href="page/icon.svg">'
+        '<link rel="stylesheet" href="page/docs.css"></head><body><main><h1>MORPH Studio API</h1>'
         "<p>Send <code>Authorization: Bearer TOKEN</code>, or open this page's server with its link once. Values that "
         'are not allowed are answered with 422 and <code>{"detail": "a sentence"}</code>. '
-        '<a href="/openapi.json">openapi.json</a> · <a href="/">studio</a></p><h2>Routes</h2>'
+        '<a href="openapi.json">openapi.json</a> · <a href="./">studio</a></p><h2>Routes</h2>'
     ]
     for path, methods in document["paths"].items():
         for method, route in methods.items():
@@ -81,6 +81,7 @@ def docs_router() -> APIRouter:
 
     @router.get("/openapi.json")
     def schema(request: Request) -> Response:
-        return Response(json.dumps(openapi_of(request.app)), media_type="application/json")
+        servers = [{"url": request.scope["root_path"] or "/"}]
+        return Response(json.dumps(openapi_of(request.app) | {"servers": servers}), media_type="application/json")
 
     return router

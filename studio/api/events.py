@@ -33,7 +33,8 @@ async def stream(runs: Runs, run_id: str, after: int, follow: bool, stopping: an
     while True:
         try:
             history = await anyio.to_thread.run_sync(runs.get, run_id)
-        except RunFolderError:
+        except RunFolderError as error:  # it was removed: a browser that returns is told so by a 404
+            yield b"event: gone\ndata: %s\n\n" % msgspec.json.encode({"detail": str(error)})
             return
         new = [as_sent(event) for event in history.events[sent:] if event.seq > after]
         sent = len(history.events)

@@ -1,5 +1,6 @@
 """JSON in and out: bodies decoded strictly, answers encoded, and both in the OpenAPI schema."""
 
+import hashlib
 from collections.abc import Callable, Coroutine
 from types import UnionType
 from typing import TypeVar, cast
@@ -106,6 +107,21 @@ class RunState(Summary, frozen=True, kw_only=True):
     """Last few answers of the trainer to commands."""
 
 
+class Bulletin(msgspec.Struct, frozen=True):
+    """What has changed since the mark that was sent, and the mark to send next."""
+
+    boot: str
+    """Word that changes with every start of the server."""
+    mark: str
+    is_new: bool
+    runs: list[Summary]
+    """Runs that are new or have changed."""
+    ids: list[str] | None
+    """Names of all runs in the order of the list where runs have come or gone; else None."""
+    seen: Seen | None
+    """What the browser shows whose key was sent."""
+
+
 class Metrics(msgspec.Struct, frozen=True):
     """The traces of a run."""
 
@@ -202,10 +218,19 @@ def reply(message: object, status: int = 200) -> Response:
     return Response(msgspec.json.encode(message), status, media_type="application/json")
 
 
+def versioned(answer: Response, known: str | None) -> Response:
+    """Return an answer with its version as ETag, or only that it has not changed where `known` is If-None-Match."""
+    version = f'"{hashlib.sha256(answer.body).hexdigest()[:32]}"'
+    if version in [tag.strip().removeprefix("W/") for tag in (known or "").split(",")]:
+        answer = Response(status_code=304)
+    answer.headers["ETag"] = version
+    return answer
+
+
 _KINDS = (
     StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Moment, Metrics, Designs, Checked, Health,
     Refusal, AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
-    View, Seen,
+    View, Seen, Bulletin,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

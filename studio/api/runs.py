@@ -3,11 +3,11 @@
 from typing import Annotated
 
 import msgspec
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 
 from morph_core.protocol import AnyCommand
 from morph_core.run_folder import RunFolderError
-from studio.api.messages import Accepted, ResumeRun, RunState, body_of, gives, reply, sender_of, takes
+from studio.api.messages import Accepted, ResumeRun, RunState, body_of, gives, reply, sender_of, takes, versioned
 from studio.branches import children_of
 from studio.log import LogEntry, log_of
 from studio.moments import Moment, moment_of
@@ -47,8 +47,8 @@ def runs_router(runs: Runs) -> APIRouter:
     router = APIRouter(prefix="/api/runs", tags=["runs"])
 
     @router.get("", responses=gives(list[Summary]), summary="All runs, newest first")
-    def summaries() -> Response:
-        return reply(runs.summaries())
+    def summaries(if_none_match: Annotated[str | None, Header()] = None) -> Response:
+        return versioned(reply(runs.summaries()), if_none_match)
 
     @router.post(
         "",

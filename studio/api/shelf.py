@@ -1,6 +1,5 @@
 """/runs and what is behind it: the table of all runs, their marks, pictures and traces, and the trash."""
 
-import hashlib
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
@@ -8,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.responses import FileResponse
 
-from studio.api.messages import Purged, body_of, gives, gives_file, reply, takes
+from studio.api.messages import Purged, body_of, gives, gives_file, reply, takes, versioned
 from studio.runs import Row, Runs
 from studio.shelf import trash
 from studio.shelf.marks import Marks, MarksChange
@@ -28,13 +27,11 @@ def shelf_router(runs: Runs, thumbnails: Thumbnails) -> APIRouter:
         return FileResponse(_PAGE)
 
     @router.get("/api/table", responses=gives(list[Row]), summary="All runs with what they have come to, newest first")
-    def table(if_none_match: Annotated[str | None, Header()] = None) -> Response:
-        answer = reply(runs.rows())
-        version = f'"{hashlib.sha256(answer.body).hexdigest()[:32]}"'
-        if if_none_match == version:
-            answer = Response(status_code=304)
-        answer.headers["ETag"] = version
-        return answer
+    def table(
+        run: Annotated[list[str] | None, Query(description="Only this run; repeated for each")] = None,
+        if_none_match: Annotated[str | None, Header()] = None,
+    ) -> Response:
+        return versioned(reply(runs.rows(run)), if_none_match)
 
     @router.get("/api/traces", responses=gives(Overlay), summary="Evaluations of several runs, and means by method")
     def traces(run: Annotated[list[str], Query(description="A run; repeated for each")]) -> Response:

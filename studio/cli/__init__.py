@@ -2,10 +2,12 @@
 
 import importlib
 import os
+import platform
 import sys
 from collections.abc import Sequence
 
 from studio.cli.arguments import UsageError
+from studio.cli.output import bear_any_encoding, complain, say
 
 COMMANDS = {
     "serve": "open the studio in the browser",
@@ -29,12 +31,14 @@ Co-optimise a robot's body and its controller, and watch it happen.
 
 {commands}
 
-morph-studio COMMAND --help lists the options of a command. A first run: morph-studio serve
+morph-studio COMMAND --help lists the options of a command, morph-studio --version what a report of a fault should
+name. A first run: morph-studio serve
 """
 
 
 def main() -> None:
     """Run the command of `sys.argv` and exit: 0 done, 1 failed, 2 asked for the impossible, 130 stopped by Ctrl-C."""
+    bear_any_encoding()
     try:
         code = run(sys.argv[1:])
         sys.stdout.flush()
@@ -50,13 +54,31 @@ def run(words: Sequence[str]) -> int:
     """Run one command and return its exit status."""
     if not words or words[0] in ("-h", "--help"):
         commands = "\n".join(f"  {name:10}{does}" for name, does in COMMANDS.items())
-        print(HELP.format(commands=commands), end="", file=sys.stdout if words else sys.stderr)
+        (say if words else complain)(HELP.format(commands=commands).rstrip())
         return 0 if words else 2
+    if words[0] in ("-V", "--version"):
+        say(version())
+        return 0
     command, *rest = words
     try:
         if command not in COMMANDS:
             raise UsageError(f'unknown command "{command[:40]}"; choose from: {", ".join(COMMANDS)}')
         return importlib.import_module(f"studio.cli.{_MODULES.get(command, command)}").main(rest)
     except UsageError as error:
-        print(f"morph-studio: {error}", file=sys.stderr)  # noqa: T201
+        complain(f"morph-studio: {error}")
         return 2
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # a folder that is read-only, a disk that is full
+        complain(f"morph-studio: {command}: {error}")
+        return 1
+
+
+def version() -> str:
+    """Return the versions that a report of a fault should name, and the processor, in lines."""
+    from studio.versions import hardware, versions_of
+
+    found = versions_of("morph-studio", "mujoco", "torch", "numpy", "gymnasium", "viser")
+    own = found.pop("morph-studio", "not installed")
+    packages = ", ".join(f"{name} {number}" for name, number in found.items())
+    return f"morph-studio {own}\n{packages}\n{platform.platform()}\nprocessor {' ('.join(hardware().values())})"

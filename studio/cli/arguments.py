@@ -14,7 +14,8 @@ from typing import Annotated, TypeVar
 
 import tyro
 
-from studio.settings import default_runs
+from morph_core.config import guess
+from studio.settings import at_home, default_runs
 
 T = TypeVar("T")
 Count = Annotated[int, tyro.conf.arg(metavar="N")]
@@ -39,13 +40,23 @@ def parse(kind: type[T], words: Sequence[str], command: str) -> T:
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            return tyro.cli(
-                kind, prog=f"morph-studio {command}", args=list(words), config=(tyro.conf.FlagCreatePairsOff,)
+            return _at_home(
+                tyro.cli(kind, prog=f"morph-studio {command}", args=list(words), config=(tyro.conf.FlagCreatePairsOff,))
             )
     except SystemExit as end:
         if end.code in (0, None):
             raise
     raise UsageError(f"{command}: {_one_line(said.getvalue())}")
+
+
+def _at_home(arguments: T) -> T:
+    """Return the arguments with ~ replaced in every path: shells do so only at the start of a word."""
+    paths = {
+        entry.name: at_home(value)
+        for entry in dataclasses.fields(arguments)  # pyright: ignore[reportArgumentType]
+        if isinstance(value := getattr(arguments, entry.name), Path)
+    }
+    return dataclasses.replace(arguments, **paths) if paths else arguments  # pyright: ignore[reportArgumentType]
 
 
 def value_after(words: Sequence[str], option: str) -> str | None:
@@ -109,7 +120,7 @@ def _choices(match: re.Match[str]) -> str:
     allowed = said.replace("'", "").split(", ")
     if "None" in allowed:  # a flag that may be left out: what it can be comes in no order
         allowed = sorted({*allowed} - {"None"})
-    return f'{flag} can\'t be "{value}"; choose from: {", ".join(allowed)}'
+    return f'{flag} can\'t be "{value}"{guess(value, allowed)}; choose from: {", ".join(allowed)}'
 
 
 _PLAIN = (

@@ -5,11 +5,12 @@ from pathlib import Path
 from morph_core.history import History
 from morph_core.run_folder import RunFolder, RunFolderError, find_run
 from studio.cli.arguments import UsageError
+from studio.settings import at_home
 
 
 def open_run(runs: Path, run: str) -> History:
     """Return the run. Raise UsageError that lists the choices, or says why the folder can't be read."""
-    path = Path(run)
+    path = at_home(run)
     try:
         if path.is_absolute() or len(path.parts) > 1 or (path / "run.json").is_file():
             return History(RunFolder(path.resolve()))

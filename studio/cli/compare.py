@@ -1,16 +1,15 @@
 """`morph-studio compare`: two designs of any runs of one task, and how they differ."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
-import msgspec
 import tyro
 
 from morph_core.run_folder import RunFolderError
 from studio.cli.arguments import RunsArguments, UsageError, parse
 from studio.cli.choice import open_run
+from studio.cli.output import write_json
 from studio.compare import Compared, Side, compare, split_place
 
 _NOT_KNOWN = "-"
@@ -40,7 +39,7 @@ def main(words: Sequence[str]) -> int:
     except ValueError as error:
         raise UsageError(f"compare: {error}") from error
     if arguments.json:
-        sys.stdout.write(msgspec.json.format(msgspec.json.encode(found), indent=2).decode() + "\n")
+        write_json(found)
     else:
         _print(found)
     return 0
@@ -48,13 +47,12 @@ def main(words: Sequence[str]) -> int:
 
 def _print(found: Compared) -> None:
     """Print a line for each quantity: both values and what the second has more."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
-    if not console.is_terminal:
-        console.width = 200  # a pipe has no width: lines stay whole
+    from studio.cli.terminal import make_console
+
+    console = make_console()
     for name, side in (("A", found.a), ("B", found.b)):
         episodes = f", {side.episodes} episodes" if side.episodes else ""
         console.print(Text(f"{name}: {side.run}, iteration {side.iteration}{episodes}"), soft_wrap=True)

@@ -7,9 +7,8 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import msgspec
 import tyro
 
 import morph_core
@@ -19,11 +18,9 @@ from studio.cancellation import Cancellation
 from studio.cli.arguments import Count, RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import check_design, open_run
 from studio.cli.export import DesignName
+from studio.cli.output import complain, write_json
 from studio.evaluator import Evaluator, EvaluatorError
-from studio.what_if import POINTS, SweepPoint, WhatIfs, Wish, phi_of, policy_note
-
-if TYPE_CHECKING:
-    from rich.console import Console
+from studio.what_if import POINTS, Policy, SweepPoint, WhatIfs, Wish, phi_of, policy_note
 
 
 @dataclass(frozen=True)
@@ -41,9 +38,11 @@ class EvaluateArguments(RunsArguments):
     """File of another design to measure with the same policy: a design.json, or an export that holds one."""
     sensitivity: bool = False
     """Measure along each parameter instead: 9 values across the task's own box, all others as in the design."""
+    policy: Policy = "sampled"
+    """Policy that is measured along each parameter; of a single design both are."""
     episodes: Count = 100
-    """Number of episodes for the sampled policy, and as many for the deterministic one; along each parameter, for the
-    sampled policy at each value."""
+    """Number of episodes for the sampled policy, and as many for the deterministic one; along each parameter, at each
+    value."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -57,14 +56,15 @@ def main(words: Sequence[str]) -> int:
     check_design(history, arguments.design)
     phi = _other_phi(history, arguments)
     if arguments.sensitivity:
-        return _sweep(history, Wish(design=arguments.design, phi=phi, episodes=arguments.episodes), arguments.json)
+        wish = Wish(design=arguments.design, phi=phi, episodes=arguments.episodes, policy=arguments.policy)
+        return _sweep(history, wish, arguments.json)
     done = _evaluate(history.folder.path, arguments.design, arguments.episodes, phi)
     if done.returncode:
         reason = done.stderr.strip().splitlines()[-1:] or [f"it ended with {done.returncode}"]
-        print(f"morph-studio: {reason[0].removeprefix('morph_core.')}", file=sys.stderr)  # noqa: T201
+        complain(f"morph-studio: {reason[0].removeprefix('morph_core.')}")
         return 2 if done.returncode == 2 else 1
     if arguments.json:
-        sys.stdout.write(done.stdout)
+        write_json(json.loads(done.stdout))
     else:
         _print_result(json.loads(done.stdout))
     return 0
@@ -117,33 +117,36 @@ def _imported(history: History, path: Path) -> list[float]:
 
 def _sweep(history: History, wish: Wish, as_json: bool) -> int:
     """Measure along each parameter, and show how far it is; Ctrl-C ends it."""
-    from rich.console import Console
     from rich.progress import Progress
+
+    from studio.cli.terminal import make_console
 
     evaluator, found = Evaluator(), []
     try:
         points = WhatIfs(evaluator).sweep(history, wish, Cancellation())
-        with Progress(console=Console(stderr=True), transient=True) as progress:
+        with Progress(console=make_console(stderr=True), transient=True) as progress:
             bar = progress.add_task("along each parameter", total=None)
             for point in points:
                 found.append(point)
                 progress.update(bar, completed=point.number, total=point.of)
     except (ValueError, EvaluatorError) as error:
-        print(f"morph-studio: evaluate: {error}", file=sys.stderr)  # noqa: T201
+        complain(f"morph-studio: evaluate: {error}")
         return 2 if isinstance(error, ValueError) else 1
     finally:
         evaluator.close()
     found.sort(key=lambda point: (history.design_space.index(point.parameter), point.value))
     if as_json:
-        sys.stdout.write(msgspec.json.encode({"run": history.folder.id, "points": found}).decode() + "\n")
+        write_json({"run": history.folder.id, "points": found})
     else:
-        _print_sweep(found, wish.episodes)
+        _print_sweep(found, wish)
     return 0
 
 
-def _print_sweep(points: Sequence[SweepPoint], episodes: int) -> None:
+def _print_sweep(points: Sequence[SweepPoint], wish: Wish) -> None:
     """Print a line for each value: success and return, each with its interval."""
     from rich.table import Table
+
+    from studio.cli.terminal import make_console
 
     table = Table(box=None, pad_edge=False)
     for heading in ("parameter", "value", "success [95 %]", "return [95 %]"):
@@ -157,9 +160,9 @@ def _print_sweep(points: Sequence[SweepPoint], episodes: int) -> None:
             success = _with_interval(m.success, m.success_interval)
             cells = [success, _with_interval(m.episode_return, m.return_interval)]
         table.add_row(point.parameter if first else "", f"{point.value:.4g} {point.unit}".rstrip(), *cells)
-    console = _console()
+    console = make_console()
     console.print(table)
-    console.print(f"sampled policy, {episodes} episodes on Hw-Phy at each value", soft_wrap=True)
+    console.print(f"{wish.policy} policy, {wish.episodes} episodes on Hw-Phy at each value", soft_wrap=True)
 
 
 def _evaluate(folder: Path, design: str, episodes: int, phi: list[float] | None) -> subprocess.CompletedProcess[str]:
@@ -177,7 +180,9 @@ def _print_result(result: dict) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    console = _console()
+    from studio.cli.terminal import make_console
+
+    console = make_console()
     design = ", ".join(f"{name} {value:.3g}" for name, value in result["phi"].items())
     console.print(Text(f"{result['run']}, iteration {result['iteration']}: {design}"), soft_wrap=True)
     if note := policy_note(result["iteration"], result["policy_iteration"]):
@@ -195,15 +200,6 @@ def _print_result(result: dict) -> None:
         returns = _with_interval(score["episode_return"], score["return_interval"])
         table.add_row(policy, success, *shares, returns, *lost)
     console.print(table)
-
-
-def _console() -> "Console":
-    from rich.console import Console
-
-    console = Console()
-    if not console.is_terminal:
-        console.width = 200  # a pipe has no width: lines stay whole
-    return console
 
 
 def _with_interval(value: float, ends: Sequence[float]) -> str:

@@ -16,7 +16,7 @@ from rich.text import Text
 from morph_core.history import History
 from morph_core.protocol import Status, Stop
 from morph_core.run_folder import RunFolder
-from studio.cli.terminal import Cadence, Screen, in_words
+from studio.cli.terminal import Cadence, Screen, in_words, make_console
 from studio.inquest import Child, start_child
 from studio.log import sender_here
 
@@ -36,7 +36,7 @@ class Outcome:
 
 def follow(folder: RunFolder, spawn: Callable[[], subprocess.Popen[bytes]], *, quiet: bool) -> Outcome:
     """Start a trainer and show it until it ends. The first Ctrl-C stops it after the iteration, the second kills it."""
-    console = Console(stderr=True, soft_wrap=True)
+    console = make_console(stderr=True, soft_wrap=True)
     with interrupts() as presses:
         child = start_child(folder, spawn)
         with Screen(console, quiet) as screen:

@@ -1,6 +1,5 @@
 """`morph-studio import`: go on from a design that was exported, in a running run or in a new one."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import tyro
 from morph_core.protocol import InjectDesign
 from studio.cli.arguments import Count, RunsArguments, UsageError, parse
 from studio.cli.choice import open_run
+from studio.cli.output import complain, say
 
 DESIGN_METAVAR = "DESIGN"
 
@@ -50,10 +50,10 @@ def main(words: Sequence[str]) -> int:
             return _send(history, phi_for(design, history.record.task, history.design_space).tolist())
     except ExportError as error:
         raise UsageError(f"import: {error}") from error
-    print(f"{design.task}, iteration {design.iteration} of {design.run}")  # noqa: T201
+    say(f"{design.task}, iteration {design.iteration} of {design.run}")
     for p in design.parameters:
-        print(f"  {p.name} = {p.value:.6g} {p.unit}")  # noqa: T201
-    print("go on from it: --into RUN, --start, or morph-studio evaluate RUN --phi-from DESIGN")  # noqa: T201
+        say(f"  {p.name} = {p.value:.6g} {p.unit}")
+    say("go on from it: --into RUN, --start, or morph-studio evaluate RUN --phi-from DESIGN")
     return 0
 
 
@@ -66,7 +66,7 @@ def _send(history, phi: list[float]) -> int:
         number = Runs(folder.path.parent).send(folder.id, InjectDesign(phi), sender_here("command line"))
     except ValueError as error:
         raise UsageError(f"import: {error}") from error
-    print(f"sent to {folder.id} as command {number}")  # noqa: T201
+    say(f"sent to {folder.id} as command {number}")
     return 0
 
 
@@ -81,5 +81,5 @@ def _start(arguments: ImportArguments, design) -> int:
         folder = prepare_run(arguments.runs, starting_from(design, wish))
     except (ValueError, TypeError, OSError) as error:
         raise UsageError(f"import: {error}") from error
-    print(folder.id, file=sys.stderr)  # noqa: T201
+    complain(folder.id)
     return follow(folder, lambda: spawn_trainer(folder, further=None), quiet=False).code

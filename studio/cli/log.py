@@ -1,16 +1,15 @@
 """`morph-studio log`: what was done to a run, each command with its iteration and who sent it."""
 
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
-import msgspec
 import tyro
 
 from studio.cli.arguments import RunName, RunsArguments, parse
 from studio.cli.choice import open_run
+from studio.cli.output import write_json
 from studio.log import LogEntry, log_of
 
 
@@ -29,20 +28,19 @@ def main(words: Sequence[str]) -> int:
     arguments = parse(LogArguments, words, "log")
     entries = log_of(open_run(arguments.runs, arguments.run))
     if arguments.json:
-        sys.stdout.write(msgspec.json.format(msgspec.json.encode(entries), indent=2).decode() + "\n")
+        write_json(entries)
     else:
         _print_table(entries)
     return 0
 
 
 def _print_table(entries: list[LogEntry]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
-    if not console.is_terminal:
-        console.width = 200  # a pipe has no width: lines stay whole
+    from studio.cli.terminal import make_console
+
+    console = make_console()
     if not entries:
         console.print("nothing was done to this run yet")
         return

@@ -15,6 +15,7 @@ import tyro
 from morph_core.history import History
 from studio.cli.arguments import RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import open_run
+from studio.cli.output import complain, say, write_json
 from studio.new_run import PACKAGES, git_state
 from studio.trainers import trainer_environment
 from studio.versions import versions_of
@@ -53,18 +54,18 @@ def main(words: Sequence[str]) -> int:
         reached, found = _read(process, history, last, quiet=arguments.json)
         trouble = process.communicate()[1].strip().splitlines()
     if signals:
-        print(f"stopped: phi is the same up to iteration {reached}", file=sys.stderr)  # noqa: T201
+        complain(f"stopped: phi is the same up to iteration {reached}")
         return 130
     if found is None:
         reason = trouble[-1] if trouble else f"the replay ended with {process.returncode}"
-        print(f"morph-studio: replay: {reason.removeprefix('morph_core.replay: ')}", file=sys.stderr)  # noqa: T201
+        complain(f"morph-studio: replay: {reason.removeprefix('morph_core.replay: ')}")
         return 2 if process.returncode == 2 else 1
     document = _document(history, found, last)
     if arguments.json:
-        sys.stdout.write(json.dumps(document, indent=2) + "\n")
+        write_json(document)
     else:
         for line in _sentences(document):
-            print(line)  # noqa: T201
+            say(line)
     return 1 if document["difference"] else 0
 
 
@@ -98,12 +99,13 @@ def _read(
     process: subprocess.Popen[str], history: History, last: int, *, quiet: bool
 ) -> tuple[int, dict[str, Any] | None]:
     """Show how far the replay is; return the last iteration that was the same, and what was found at the end."""
-    from rich.console import Console
     from rich.progress import Progress
+
+    from studio.cli.terminal import make_console
 
     reached, lines = history.begins_at, process.stdout
     assert lines is not None
-    console = Console(stderr=True)
+    console = make_console(stderr=True)
     with Progress(console=console, disable=quiet or not console.is_terminal, transient=True) as bar:
         task = bar.add_task(f"replaying {history.folder.id}", total=last, completed=reached)
         for line in lines:

@@ -1,7 +1,5 @@
 """`morph-studio runs`: list the runs of a folder."""
 
-import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ from morph_core.protocol import Parent
 from morph_core.run_folder import RunFolderError
 from studio.branches import Member, place_in_words, trees
 from studio.cli.arguments import RunsArguments, parse
+from studio.cli.output import write_json
 from studio.runs import Runs
 from studio.shelf.marks import Marks
 
@@ -44,8 +43,7 @@ def main(words: Sequence[str]) -> int:
     arguments = parse(ListArguments, words, "runs")
     lines = list_runs(arguments.runs, arguments.takes)
     if arguments.json:
-        json.dump(lines, sys.stdout, indent=2)
-        sys.stdout.write("\n")
+        write_json(lines)
     elif arguments.tree and lines:
         _print_tree(lines)
     else:
@@ -76,13 +74,12 @@ def list_runs(folder: Path, takes: Callable[[Marks], bool]) -> list[dict[str, ob
 
 
 def _print_tree(lines: list[dict[str, Any]]) -> None:
-    from rich.console import Console
     from rich.text import Text
     from rich.tree import Tree
 
-    console = Console()
-    if not console.is_terminal:
-        console.width = 200  # a pipe has no width: names stay whole
+    from studio.cli.terminal import make_console
+
+    console = make_console()
     by_name = {line["id"]: line for line in lines}
 
     def label(member: Member) -> Text:
@@ -113,13 +110,12 @@ def _why_none(arguments: ListArguments) -> str:
 
 
 def _print_table(arguments: ListArguments, lines: list[dict[str, object]]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
-    if not console.is_terminal:
-        console.width = 200  # a pipe has no width: names stay whole
+    from studio.cli.terminal import make_console
+
+    console = make_console()
     if not lines:
         console.print(Text(_why_none(arguments)), soft_wrap=True)
         return

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from studio.cli.arguments import RunsArguments, UsageError, parse
-from studio.settings import Settings, default_port
+from studio.settings import Settings, default_port, default_root_path
 from studio.study.launchers import make_launcher
 from studio.study.slurm import Slurm
 from studio.study.slurm_options import SlurmOptions
@@ -23,8 +23,11 @@ class ServeArguments(RunsArguments):
     """Port to listen on; by default PORT from the environment, else 8000."""
     token: Annotated[str | None, tyro.conf.arg(metavar="TOKEN")] = None
     """Token that browsers and API clients must know; without it, MORPH_TOKEN from the environment."""
+    root_path: Annotated[str, tyro.conf.arg(metavar="PATH")] = field(default_factory=default_root_path)
+    """Path under which a proxy serves the studio, such as /studio; by default MORPH_ROOT_PATH from the environment. A
+    proxy of this machine, or one that FORWARDED_ALLOW_IPS names, may tell it by X-Forwarded-Prefix too."""
     no_browser: bool = False
-    """Print the address of the studio without opening it in a browser."""
+    """Print the address of the studio without opening it in a browser, as is done over SSH and without a display."""
     launcher: Literal["local", "slurm"] = "local"
     """Where the trainers of new runs start: on this machine, or on a cluster through Slurm."""
     slurm: tyro.conf.OmitArgPrefixes[SlurmOptions] = SlurmOptions()
@@ -40,6 +43,7 @@ def main(words: Sequence[str]) -> int:
             host=arguments.host,
             port=arguments.port,
             runs=arguments.runs,
+            root_path=arguments.root_path,
             open_browser=not arguments.no_browser,
             **given,
         )

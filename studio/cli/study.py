@@ -1,10 +1,8 @@
 """`morph-studio study`: compare methods over tasks and seeds at equal environment steps."""
 
 import functools
-import json
 import shlex
 import shutil
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +11,7 @@ from typing import Annotated
 
 import msgspec
 import tyro
-from rich.console import Console, Group
+from rich.console import Group
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
@@ -22,7 +20,8 @@ from morph_core.run_folder import STUDY
 from studio import limits
 from studio.cli.arguments import UsageError, parse
 from studio.cli.follow import interrupts
-from studio.cli.terminal import Cadence, Screen, in_words
+from studio.cli.output import complain, say, write_json
+from studio.cli.terminal import Cadence, Screen, in_words, make_console
 from studio.study.launcher import Launcher
 from studio.study.launchers import launcher_of_study, make_launcher
 from studio.study.plan import (
@@ -162,13 +161,13 @@ def _cancel(directory: Path, as_json: bool) -> int:
     launcher.cancel(directory, [name for name in names if name not in over])
     count = len(names) - len(over)
     said = f"cancelled {count} run{'s' * (count != 1)}; the words that the study was started with go on with it"
-    _print(json.dumps({"cancelled": count}) if as_json else said)
+    _tell({"cancelled": count}, said, as_json)
     return 0
 
 
 def _report(directory: Path, as_json: bool) -> int:
     path = write_report(directory)
-    _print(json.dumps({"report": str(path)}) if as_json else f"report: {path}")
+    _tell({"report": str(path)}, f"report: {path}", as_json)
     return 0
 
 
@@ -177,12 +176,12 @@ def _try_report(directory: Path) -> None:
     try:
         _report(directory, as_json=False)
     except StudyError as error:
-        print(f"morph-studio: {error}", file=sys.stderr)  # noqa: T201
+        complain(f"morph-studio: {error}")
 
 
 def _tables(document: Path, directory: Path, as_json: bool) -> int:
     count = write_tables_into(directory, document)
-    _print(json.dumps({"tables": count}) if as_json else f"{count} table{'s' * (count != 1)} written to {document}")
+    _tell({"tables": count}, f"{count} table{'s' * (count != 1)} written to {document}", as_json)
     return 0
 
 
@@ -194,7 +193,7 @@ def _follow(directory: Path, study: Study, launcher: Launcher, *, quiet: bool) -
 
     The first Ctrl-C stops the trainers that can't go on without this process, the second ends them at once.
     """
-    console = Console(stderr=True, soft_wrap=True)
+    console = make_console(stderr=True, soft_wrap=True)
     reader, names = Standings(directory, study), [planned.run for planned in study.runs]
     standings: list[RunStanding] = []
     heard = 0
@@ -292,11 +291,9 @@ def _running_table(study: Study, standings: Sequence[RunStanding]) -> Table:
 
 def _conclude(directory: Path, study: Study, standings: list[RunStanding], as_json: bool) -> None:
     if as_json:
-        _print(json.dumps(document(directory, study, standings), indent=2))
+        write_json(document(directory, study, standings))
         return
-    console = Console()
-    if not console.is_terminal:
-        console.width = 200  # a pipe has no width: names stay whole
+    console = make_console()
     console.print(
         Text(f"{_counts(standings)}; solved: sampled success ≥ {study.level:g}; medians of the seeds"), soft_wrap=True
     )
@@ -341,5 +338,8 @@ def document(directory: Path, study: Study, standings: Sequence[RunStanding]) ->
     }
 
 
-def _print(text: str) -> None:
-    sys.stdout.write(text + "\n")
+def _tell(document: dict[str, object], words: str, as_json: bool) -> None:
+    if as_json:
+        write_json(document)
+    else:
+        say(words)

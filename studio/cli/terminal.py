@@ -1,10 +1,34 @@
 """What a command that follows others writes on the terminal: sentences, and under them lines that are drawn anew."""
 
 import time
+from collections.abc import Iterable
 
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.live import Live
+from rich.segment import Segment
 from rich.text import Text
+
+from studio.cli.output import visible
+
+_WIDE = 200
+"""Width of what goes into a pipe or a file, which has none: names stay whole."""
+
+
+class _Console(Console):
+    """A console that shows what files hold and obeys none of it: neither its markup nor its control characters."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Render an object, its control characters written out; the console's own keep their effect."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=visible(segment.text))
+
+
+def make_console(*, stderr: bool = False, soft_wrap: bool = False) -> Console:
+    """Return the console of a command, on stdout or stderr."""
+    console = _Console(stderr=stderr, soft_wrap=soft_wrap, markup=False, emoji=False, highlight=False)
+    if not stderr and not console.is_terminal:
+        console.width = _WIDE
+    return console
 
 
 class Screen:

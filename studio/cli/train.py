@@ -1,8 +1,6 @@
 """`morph-studio train`: co-optimise body and controller without a browser, or go on with a run."""
 
 import functools
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,9 +20,11 @@ from morph_core.run_folder import LAUNCH, RunFolder
 from studio.cli.arguments import RunsArguments, UsageError, value_after
 from studio.cli.choice import open_run, place_of
 from studio.cli.follow import Outcome, follow
+from studio.cli.output import complain, write_json
 from studio.cli.wanted import Wanted, branch_method, parse_wanted
 from studio.log import sender_here
 from studio.new_run import Branch, StartRun, method_at, prepare_run, space_at
+from studio.settings import at_home
 from studio.study.slurm import Slurm, slurm_launch
 from studio.trainers import spawn_trainer
 
@@ -89,10 +89,9 @@ def main(words: Sequence[str]) -> int:
     try:
         outcome = follow(folder, spawn, quiet=asked.json)
     except OSError as error:
-        raise UsageError(f"train: {folder.id} can't be written to: {error}") from error
+        raise UsageError(f"train: {error}") from error
     if asked.json:
-        json.dump(_document(History(folder), outcome), sys.stdout, indent=2)
-        sys.stdout.write("\n")
+        write_json(_document(History(folder), outcome))
     return outcome.code
 
 
@@ -103,7 +102,7 @@ def _asked(words: Sequence[str]) -> _Asked:
     """Return what the words ask for; the flags of a run that is resumed or branched from are those it was started
     with."""
     resumed, branched, named = (value_after(words, option) for option in ("--resume", "--branch", "--runs"))
-    runs = Path(named) if named else RunsArguments().runs
+    runs = at_home(named) if named else RunsArguments().runs
     if resumed is not None and branched is not None:
         raise UsageError("train: choose one of --resume, which goes on with a run, and --branch, which starts another")
     if resumed is not None:
@@ -144,7 +143,7 @@ def _prepared(found: _Asked) -> RunFolder:
     except (ValueError, OSError) as error:
         raise UsageError(f"train: {error}") from error
     if origin and not asked.json:
-        print(f"{folder.id} begins {origin.words}", file=sys.stderr)  # noqa: T201
+        complain(f"{folder.id} begins {origin.words}")
     return folder
 
 
@@ -210,11 +209,10 @@ def _requeue(folder: RunFolder, further: int | None, quiet: bool) -> int:
             f"instead, remove {folder.path / LAUNCH}"
         ) from error
     if quiet:
-        json.dump(_document(history, Outcome(0, "queued", place.where or place.why)), sys.stdout, indent=2)
-        sys.stdout.write("\n")
+        write_json(_document(history, Outcome(0, "queued", place.where or place.why)))
     else:
         at = f"at work on {place.where}" if place.where else f"queued: {place.why}"
-        print(f"{folder.id} is {at}; morph-studio runs shows how it does", file=sys.stderr)  # noqa: T201
+        complain(f"{folder.id} is {at}; morph-studio runs shows how it does")
     return 0
 
 

@@ -1,7 +1,5 @@
 """`morph-studio verify`: check an export: one robot in every file, sound parts, and a policy as able as promised."""
 
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +8,11 @@ from typing import Annotated
 import tyro
 
 from studio.cli.arguments import Count, UsageError, parse
+from studio.cli.output import write_json
 
 NOT_PROVED = (
     "Not proved: who made the bundle and when (its digests come with it), how its shapes that are only shown look, and "
-    "what README.txt, report.html, BOM.csv and control.json say."
+    "what README.txt, report.html, BOM.csv, servos.json and control.json say."
 )
 """What a bundle on which all checks agree may be wrong in all the same."""
 
@@ -47,17 +46,17 @@ def main(words: Sequence[str]) -> int:
         raise UsageError(f"verify: {error}") from error
     passed = all(check.passed for check in checks)
     if arguments.json:
-        json.dump({"bundle": str(arguments.bundle), "passed": passed, "checks": [c.facts for c in checks]}, sys.stdout)
-        sys.stdout.write("\n")
+        write_json({"bundle": str(arguments.bundle), "passed": passed, "checks": [c.facts for c in checks]})
     else:
         _print(checks, arguments.every)
     return 0 if passed else 1
 
 
 def _print(checks: Sequence, every: bool) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
+
+    from studio.cli.terminal import make_console
 
     table = Table(box=None, pad_edge=False)
     for heading in ("", "file", "compared", "largest difference", "allowed"):
@@ -77,7 +76,7 @@ def _print(checks: Sequence, every: bool) -> None:
                 Text("ok", "green"), Text(subject), Text(said or f"{len(group)} comparisons"), f"{worst.worst:.2g}",
                 f"{worst.allowed:.2g}",
             )  # fmt: skip
-    console = Console()
+    console = make_console()
     console.print(table)
     failed = sum(not check.passed for check in checks)
     console.print(Text(f"{failed} of {len(checks)} checks fail" if failed else f"all {len(checks)} checks agree"))

@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 
 import msgspec
@@ -13,27 +14,36 @@ import numpy as np
 from morph_core.catalogue import make_task
 from morph_core.config import flattened
 from morph_core.history import History
-from morph_core.picture import picture
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
 from morph_core.task import Task
+from morph_core.tasks.servos import ServoName
+from studio.export import onnx_policy, servos
 from studio.export.archive import zipped
 from studio.export.check import Check
 from studio.export.control import control_settings
+from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
-from studio.export.meshes import glb, start_posture, three_mf
+from studio.export.materials import bill_csv, bill_html, bill_of_materials
+from studio.export.meshes import glb
 from studio.export.mjcf import oldest_reader, write_mjcf
+from studio.export.plates import Prints, plan_prints, print_files, printers_for
 from studio.export.policy import Policy, Score, policy_at, policy_files
-from studio.export.proof import PROVENANCE, prove_policy, prove_robot
+from studio.export.printers import DEFAULT, printer_of
+from studio.export.prints_page import prints_html
+from studio.export.proof import PROVENANCE, check_onnx, prove_policy, prove_robot
 from studio.export.provenance import provenance_of
-from studio.export.report import bill_of_materials, report
+from studio.export.report import Section, Sheet, report
 from studio.export.ros import package_name, ros_package
+from studio.export.servos import ServoTable, check_servo, compared_servos, servo_html, verdict
 from studio.export.step import step_files
 from studio.export.urdf import write_urdf
+from studio.export.views import views_of
 from studio.export.zero import hold_keyframes, moved_zero, servo_targets
 from studio.robots.chooser import robot_of
-from studio.robots.parts import MILLIMETRE, Part, body_of, colours_of, dress, stl_files
+from studio.robots.deviation import deviation
+from studio.robots.parts import Part, colours_of, dress, stl_files
 from studio.robots.robot import Program, Robot
 
 FORMATS = ("mjcf", "urdf", "stl", "3mf", "glb")
@@ -46,6 +56,8 @@ BY_HAND = "changed by hand"
 """Words behind the name of a design that no run has recorded."""
 EPISODES = 32
 """Number of episodes that measure the policy's success on the exported files, for which an export may take 3 s."""
+_POINTS = 200
+"""Random points of each link at which the distance between print and collision shapes is measured."""
 _SHIPPED = Path(__file__).parent / "shipped"
 
 
@@ -62,14 +74,21 @@ class Bundle:
 
 
 def build_bundle(
-    history: History, which: str, formats: Sequence[str] | None = None, phi: Sequence[float] | None = None
+    history: History,
+    which: str,
+    formats: Sequence[str] | None = None,
+    phi: Sequence[float] | None = None,
+    servo: str | None = None,
+    printer: str | None = None,
 ) -> Bundle:
     """Return the design `which`: "best", "latest" or an iteration; `phi`, where it is given, takes its place.
 
     The files are read back and compared with the simulated robot first. Raise ExportError with what disagrees, or
-    with what is allowed.
+    with what is allowed. Where a `servo` is named, what the policy needs is measured in 256 episodes and compared with
+    it; without one, the episodes that prove the policy choose a servo of the table. A `printer` that is asked for, by
+    name or size, must be able to print every part; parts that are too large for the default one are named.
     """
-    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float))
+    files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float), servo, printer)
     name = bundle_name(history, which, by_hand=phi is not None)
     return Bundle(name, files, checks, zipped(dict(sorted(files.items()))))
 
@@ -80,7 +99,12 @@ def default_formats(task: Task) -> tuple[str, ...]:
 
 
 def _build(
-    history: History, which: str, formats: Sequence[str] | None, other_phi: np.ndarray | None
+    history: History,
+    which: str,
+    formats: Sequence[str] | None,
+    other_phi: np.ndarray | None,
+    servo: str | None,
+    printer: str | None,
 ) -> tuple[dict[str, bytes], list[Check]]:
     iteration, phi = _chosen(history, which)
     task = task_of(history)
@@ -89,7 +113,10 @@ def _build(
     _check_phi(history, phi)
     _check_buildable(task, phi)
     formats = default_formats(task) if formats is None else formats
-    check_formats(formats, task)
+    check_formats(formats, task, printer)
+    wanted = None if servo is None else check_servo(servo, task)
+    if wanted and "mjcf" not in formats:
+        raise ExportError("what a policy needs of a servo is measured on scene.xml: choose the format mjcf with it")
     robot = robot_of(task)
     parts = parts_of_design(robot, phi)
     design = _design(history, task, which, iteration, phi, parts)
@@ -98,25 +125,57 @@ def _build(
         files = robot_files(task, phi, parts, formats)
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
+    prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
+    files |= print_files(prints) if prints else {}
     checks = prove_robot(files, design, task, phi, only_mujoco=True)
     recorded = next(
         (e for e in reversed(history.evaluations) if e.iteration == iteration and e.phi == phi.tolist()), None
     )
     scores: list[Score] = []
+    table: ServoTable | None = None
     program = robot.program(phi) if policy and "mjcf" in formats else None
     if policy and program:
         files |= policy_files(policy, program, task.horizon)
-        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), EPISODES)
+        if onnx_policy.is_available():
+            files[onnx_policy.FILE] = onnx_policy.onnx_file(policy, program, _facts(task, history, iteration))
+            checks.append(check_onnx(files, task, phi))
+        recorder, episodes = Recorder(), EPISODES if wanted is None else servos.EPISODES
+        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), episodes, recorder)
+        table = compared_servos(recorder, task, phi, wanted)
         checks += compared
         scores = [*([msgspec.structs.replace(found, where="at export")] if found else []),
                   *_promised(history, recorded, policy)]  # fmt: skip
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     files[FILE] = _json(msgspec.to_builtins(design))
-    files |= _papers(task, design, phi, parts, program, scores, recorded, formats, _oldest(files))
-    provenance = provenance_of(history, iteration, files, [str(check) for check in checks], scores, _oldest(files))
+    measured = _episodes(history, recorded) if recorded else None
+    oldest = _oldest(files)
+    files |= _papers(
+        task, design, phi, parts, prints, program, scores, recorded, measured, formats, oldest, table, wanted
+    )  # fmt: skip
+    said, bed = [str(check) for check in checks], prints.printer.name if prints else ""
+    provenance = provenance_of(history, iteration, files, said, scores, oldest, bed)
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
     return files, checks
+
+
+def _facts(task: Task, history: History, iteration: int) -> dict[str, object]:
+    """Return what a reader of the policy alone wants to know of it."""
+    about = "the policy's mean, asked once in each control step; run_policy.py of the bundle shows how it is used"
+    return {
+        "about": about, "control_step_s": task.control_dt, "task": task.name, "run": history.folder.id,
+        "iteration": iteration,
+    }  # fmt: skip
+
+
+def _prints(task: Task, phi: np.ndarray, parts: Sequence[Part], printer: str | None) -> Prints:
+    """Return how the parts are printed; ExportError where a printer that is asked for can't print one."""
+    model = task.spec(phi).compile() if robot_of(task).printed else None
+    prints = plan_prints(parts, DEFAULT if printer is None else printer_of(printer), model)
+    if printer is not None and prints.problems:
+        able = ", ".join(printers_for(parts)) or "none of the table"
+        raise ExportError(f"{'; '.join(prints.problems.values())}; printers that are large enough: {able}")
+    return prints
 
 
 def parts_of_design(robot: Robot, phi: np.ndarray) -> list[Part]:
@@ -157,8 +216,6 @@ def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Seq
             files |= ros_package(task.name, name, urdf[f"{name}.urdf"], {**shown, **urdf}, size)
         files |= urdf if "urdf" in formats else {}
         files["control.json"] = _json(control_settings(model, scene.compile(), zero))
-    if "3mf" in formats:
-        files |= {f"3mf/{part.name}.3mf": three_mf(part) for part in parts}
     if "glb" in formats:
         files["assembly.glb"] = glb(parts, model, colours_of(model, parts))
     if "step" in formats:
@@ -179,33 +236,42 @@ def _papers(
     design: Design,
     phi: np.ndarray,
     parts: Sequence[Part],
+    prints: Prints | None,
     program: Program | None,
     scores: Sequence[Score],
     recorded: Evaluation | None,
+    episodes: int | None,
     formats: Sequence[str],
     oldest: str,
+    table: ServoTable | None,
+    wanted: ServoName | None,
 ) -> dict[str, bytes]:
     """Return what is written for people."""
     robot = robot_of(task)
+    held = [*formats, "onnx"] if program and onnx_policy.is_available() else formats
     papers = {
-        "README.txt": _readme(task, robot, formats, program, oldest).encode(),
+        "README.txt": _readme(task, robot, held, program, oldest, table).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
-    image = None
+    model = task.spec(phi).compile()
+    more = [Section("Print it", prints_html(prints))] if prints else []
     if robot.printed:
-        papers["BOM.csv"] = bill_of_materials(parts, robot)
-    if parts:
-        model = task.spec(phi).compile()
-        data, colours = start_posture(model), colours_of(model, parts)
-        surfaces = []
-        for part in parts:
-            for link in part.links:
-                body = body_of(model, link)
-                placed = MILLIMETRE * part.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
-                surfaces.append((placed[part.faces], colours[link][:3]))
-        image = picture(surfaces)
-    measured = next((score for score in scores if score.where == "at export"), None)
-    papers["report.html"] = report(design, robot, image, parts, measured, recorded, program)
+        measured = deviation(model, parts, points=_POINTS)
+        more.insert(0, Section("Printed and simulated", f"<p>{escape(measured.words)}"))
+    if table:
+        papers[servos.FILE] = _json(msgspec.to_builtins(table))
+        more.append(Section("Servos", servo_html(table)))
+    if robot.printed:
+        lines = bill_of_materials(robot, phi, parts, table.servo if table else wanted, prints)
+        papers["BOM.csv"] = bill_csv(lines)
+        more.append(Section("Bill of materials", bill_html(lines)))
+    sheet = Sheet(
+        title=task.title, design=design, robot=robot, parts=parts,
+        views=views_of(model, parts) if parts else None, formats=held, scores=scores,
+        recorded=recorded, episodes=episodes, program=program,
+        more=more, no_onnx="" if onnx_policy.is_available() else onnx_policy.MISSING,
+    )  # fmt: skip
+    papers["report.html"] = report(sheet)
     return papers
 
 
@@ -215,7 +281,9 @@ def _oldest(files: Mapping[str, bytes]) -> str:
     return oldest_reader(texts) if texts else ""
 
 
-def _readme(task: Task, robot: Robot, formats: Sequence[str], program: Program | None, oldest: str) -> str:
+def _readme(
+    task: Task, robot: Robot, formats: Sequence[str], program: Program | None, oldest: str, table: ServoTable | None
+) -> str:
     name, package = robot.file_name, package_name(task.name)
     printed = "Print:   parts/*.stl (mm), one file for each part; BOM.csv says how many"
     shapes = "Shapes:  parts/*.stl (mm), the collision shapes of each link, which stand in for parts"
@@ -230,13 +298,20 @@ def _readme(task: Task, robot: Robot, formats: Sequence[str], program: Program |
         f"         ros2 launch {package} display.launch.py",
         "ros2_control": "         each servo has a transmission and a ros2_control interface, of mock hardware as yet",
         "stl": printed if robot.printed else shapes,
-        "3mf": "         3mf/*.3mf (mm), with as many copies as are needed",
+        "3mf": "         3mf/*.3mf (mm), each part as often as it is needed, on its widest side; plates/*.3mf, all of\n"
+        "         them laid out on a printer; plates/*.svg shows that, plates/*.csv is what was measured"
+        + "\n         print pin_coupon first: its bores have 0, 0.1 ... 0.4 mm play for a pin"
+        * robot.printed,
         "glb": "Look:    assembly.glb (m)",
         "step": "CAD:     step/*.step (mm), plane faces",
     }
     said = [lines[kind] for kind in lines if kind in formats]
     if program:
-        said.append("\n         ".join([f"Policy:  {program.command}", *program.about]))
+        graph = "policy.onnx is the same, as one graph in physical units: python policy.py compares both"
+        graph = graph if "onnx" in formats else f"no policy.onnx: {onnx_policy.MISSING}"
+        said.append("\n         ".join([f"Policy:  {program.command}", *program.about, graph]))
+    if table:
+        said.append(f"Servos:  {verdict(table)};\n         report.html and {servos.FILE} say more")
     return "\n".join([*said, "Check:   morph-studio verify THIS_BUNDLE", "More:    report.html", ""])
 
 
@@ -244,8 +319,14 @@ def _promised(history: History, recorded: Evaluation | None, policy: Policy) -> 
     """Return what training has measured with this very policy."""
     if recorded is None or policy.iteration != recorded.iteration:
         return []
+    episodes = _episodes(history, recorded)
+    return [Score(episodes, recorded.sampled_success, "in training")] if episodes else []
+
+
+def _episodes(history: History, recorded: Evaluation) -> int | None:
+    """Return over how many episodes training has measured success; None where nobody wrote it down."""
     episodes = recorded.episodes or flattened(history.record.config).get("evaluation.episodes")
-    return [Score(episodes, recorded.sampled_success, "in training")] if isinstance(episodes, int) else []
+    return episodes if isinstance(episodes, int) else None
 
 
 def bundle_name(history: History, which: str, *, by_hand: bool = False) -> str:
@@ -256,8 +337,8 @@ def bundle_name(history: History, which: str, *, by_hand: bool = False) -> str:
     return f"{run}-{label}{'-' + BY_HAND.replace(' ', '-') if by_hand else ''}.zip"
 
 
-def check_formats(formats: Sequence[str], task: Task) -> None:
-    """Raise ExportError that lists the available formats unless all of `formats` are."""
+def check_formats(formats: Sequence[str], task: Task, printer: str | None = None) -> None:
+    """Raise ExportError that lists what is available unless all of `formats` and the printer are."""
     has_parts = robot_of(task).has_parts
     allowed = (*default_formats(task), *(f for f in OPTIONAL_FORMATS if has_parts or f not in MESH_FORMATS))
     for name in formats:
@@ -267,6 +348,10 @@ def check_formats(formats: Sequence[str], task: Task) -> None:
             raise ExportError(f'unknown format "{name[:40]}"; choose from: {", ".join(allowed)}')
     if "ros2_control" in formats and not {"urdf", "ros"} & set(formats):
         raise ExportError("ros2_control is a part of a URDF: choose urdf or ros with it")
+    if printer is not None:
+        printer_of(printer)
+        if "3mf" not in formats:
+            raise ExportError(f"a printer is for the format 3mf, and the formats are: {', '.join(formats)}")
     if not formats:
         raise ExportError(f"no format given; choose from: {', '.join(allowed)}")
 
@@ -317,7 +402,7 @@ def _design(history: History, task: Task, which: str, iteration: int, phi: np.nd
         design=which,
         iteration=iteration,
         parameters=parameters,
-        parts=[PartEntry(part.name, list(part.links), part.inertial.mass) for part in parts],
+        parts=[PartEntry(part.name, list(part.links), part.inertial.mass, part.density) for part in parts],
     )
 
 

@@ -11,6 +11,7 @@ from morph_core.protocol import Parent
 from studio.export.archive import MAX_BYTES, unzipped
 from studio.export.errors import ExportError
 from studio.new_run import StartRun
+from studio.robots.parts import DENSITY
 
 FILE = "design.json"
 KIND = "morph-studio design"
@@ -43,6 +44,8 @@ class PartEntry(msgspec.Struct, frozen=True):
     links: list[str]
     mass: float
     """kg: the mass of one copy of the part."""
+    density: float = DENSITY
+    """kg/m^3: the mass over the volume: less than the material's where a part is printed with infill."""
 
 
 class _Head(msgspec.Struct, frozen=True):

@@ -1,6 +1,7 @@
 """Parts as mesh files beside STL: 3MF in millimetres for printing, one GLB of the assembly in metres for looking at."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from xml.sax.saxutils import escape
 
 import mujoco
@@ -23,30 +24,50 @@ _TYPES = """\
 <Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>
 </Types>
 """
-BETWEEN_COPIES = 10.0  # mm on the print bed
 
 
-def three_mf(part: Part) -> bytes:
-    """Return a 3MF with the part once as an object, and as many copies on the bed as the robot needs."""
-    name, links = escape(part.name, {'"': "&quot;"}), escape(", ".join(part.links))
-    step = float(part.size[1]) + BETWEEN_COPIES
+@dataclass(frozen=True)
+class Body:
+    """An object of a 3MF: a mesh, and where its copies lie."""
+
+    name: str
+    vertices: np.ndarray  # (V, 3) mm
+    faces: np.ndarray  # (F, 3)
+    poses: Sequence[np.ndarray]
+    """Rotation and place (3, 4) mm of each copy on the bed."""
+
+
+def three_mf(title: str, description: str, bodies: Sequence[Body]) -> bytes:
+    """Return a 3MF in millimetres: each mesh once, in its own frame, and its copies as items of the build."""
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<model unit="millimeter" xml:lang="en-US" xmlns="{_CORE}">',
-        f'<metadata name="Title">{name}</metadata>',
-        f'<metadata name="Description">print {part.quantity}: {links}</metadata>',
-        f'<resources><object id="1" type="model" name="{name}"><mesh><vertices>',
-        *(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in part.vertices.tolist()),
-        "</vertices><triangles>",
-        *(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in part.faces.tolist()),
-        "</triangles></mesh></object></resources><build>",
-        *(f'<item objectid="1" transform="1 0 0 0 1 0 0 0 1 0 {i * step!r} 0"/>' for i in range(part.quantity)),
-        "</build></model>",
+        f'<metadata name="Title">{_quoted(title)}</metadata>',
+        f'<metadata name="Description">{_quoted(description)}</metadata>',
+        "<resources>",
     ]
+    for number, body in enumerate(bodies, start=1):
+        lines += [
+            f'<object id="{number}" type="model" name="{_quoted(body.name)}"><mesh><vertices>',
+            *(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in body.vertices.tolist()),
+            "</vertices><triangles>",
+            *(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in body.faces.tolist()),
+            "</triangles></mesh></object>",
+        ]
+    lines.append("</resources><build>")
+    for number, body in enumerate(bodies, start=1):
+        for pose in body.poses:  # 3MF multiplies rows: the transposed rotation, then the place
+            transform = " ".join(repr(x) for x in pose.T.ravel().tolist())
+            lines.append(f'<item objectid="{number}" transform="{transform}"/>')
+    lines.append("</build></model>")
     text = "\n".join(lines).encode()
     return zipped(
         {"[Content_Types].xml": _TYPES.encode(), "_rels/.rels": _RELATIONS.encode(), "3D/3dmodel.model": text}
     )
+
+
+def _quoted(text: str) -> str:
+    return escape(text, {'"': "&quot;"})
 
 
 def glb(parts: Sequence[Part], model: mujoco.MjModel, colours: Mapping[str, np.ndarray]) -> bytes:

@@ -15,6 +15,7 @@ from morph_core.history import History
 from morph_core.rollout import collect
 from morph_core.run_folder import WEIGHTS_BYTES
 from morph_core.task import Hardware, Task
+from studio.export.demand import Recorder
 from studio.export.errors import ExportError
 from studio.robots.robot import Program
 
@@ -42,6 +43,14 @@ class Policy:
             x = np.einsum("ni,oi->no", x, weight) + bias  # BLAS waits for its threads on a busy machine
             x = np.tanh(x) if i < len(self.weights) - 1 else x
         return x if rng is None else x + self.std * rng.standard_normal(x.shape, dtype=np.float32)
+
+    def command(self, seen: np.ndarray, program: Program) -> np.ndarray:
+        """Return what a `program` gives (N, a) for what it sees (N, o), both in physical units: the mean, cut off."""
+        units, x = program.units, np.array(seen, dtype=float)
+        if (w := program.orientation) is not None:
+            x[:, w : w + 4] *= np.where(x[:, w : w + 1] < 0, -1, 1)
+        mean = self.act(((x - units["middle"]) / units["spread"]).astype(np.float32), None)
+        return units["action_scale"] * np.clip(mean, -1, 1)
 
 
 class Score(msgspec.Struct, frozen=True):
@@ -91,13 +100,15 @@ def _told(weight: np.ndarray, bias: np.ndarray, box: np.ndarray, phi: np.ndarray
 
 def policy_files(policy: Policy, program: Program, horizon: int) -> dict[str, bytes]:
     """Return policy.npz and the program that runs it for `horizon` control steps."""
+    orientation = -1 if program.orientation is None else program.orientation
     arrays: dict[str, np.ndarray] = {"std": policy.std, "horizon": np.array(horizon)}
+    arrays |= {"orientation": np.array(orientation), **program.units}
     for i, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
         arrays |= {f"weight_{i}": weight, f"bias_{i}": bias}
     arrays |= program.arrays
     buffer = io.BytesIO()
     np.savez(buffer, **cast(dict[str, Any], arrays))
-    return {"policy.npz": buffer.getvalue(), "run_policy.py": program.source}
+    return {"policy.npz": buffer.getvalue(), **program.sources}
 
 
 def read_policy(content: bytes) -> Policy:
@@ -107,9 +118,24 @@ def read_policy(content: bytes) -> Policy:
         return Policy(weights, biases, arrays["std"], 0)
 
 
-def score(task: Task, policy: Policy, hardware: Hardware, episodes: int, where: str, seed: int = 0) -> Score:
-    """Run the sampled policy on `hardware`; episodes whose simulation diverges have failed."""
+def score(
+    task: Task,
+    policy: Policy,
+    hardware: Hardware,
+    episodes: int,
+    where: str,
+    seed: int = 0,
+    recorder: Recorder | None = None,
+) -> Score:
+    """Run the sampled policy on `hardware`; episodes whose simulation diverges have failed.
+
+    A `recorder` is shown what the hardware does, where that can be watched.
+    """
     rng = np.random.default_rng(seed)
     start = task.reset(hardware, episodes, rng)
+    if recorder:
+        recorder.watch(hardware)
     rollout = collect(task, lambda seen: policy.act(seen, rng), hardware, start)
+    if recorder:
+        recorder.kept = rollout.kept
     return Score(episodes, float(rollout.successes.sum()) / episodes, where)

@@ -15,12 +15,16 @@ from manifold3d import Error, Manifold, Mesh64
 
 from morph_core.catalogue import make_task
 from morph_core.task import Task
+from studio.export import onnx_policy
 from studio.export.check import Check, relative, worst
+from studio.export.check_prints import Surface, check_part_file, check_plates
+from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
 from studio.export.meshes import start_posture
+from studio.export.plates import PIECES
 from studio.export.policy import Score, read_policy, score
 from studio.export.provenance import Provenance
-from studio.export.readings import collision_box, read_mjcf
+from studio.export.readings import collision_box
 from studio.export.screen import screen
 from studio.export.stand import check_standing
 from studio.export.urdf import NO_LIMIT, urdf_names
@@ -28,10 +32,15 @@ from studio.export.verify import verify
 from studio.export.zero import moved_zero
 from studio.robots.chooser import robot_of
 from studio.robots.geometry import moments
-from studio.robots.parts import BASE, MILLIMETRE, body_of
+from studio.robots.parts import BASE, DENSITY, MILLIMETRE, body_of
 
 MASS_ALLOWED = 1e-6
 """Relative difference of masses that is allowed: STL and GLB are single precision."""
+DOWELS_ALLOWED = 0.1
+"""Share of a part's mass that its pieces may miss: the holes for dowels."""
+CENTRE_ALLOWED = 0.25
+"""Distance of a print's centre of mass from the simulated one that is allowed, as a share of the print's size: that of
+a short link of the arm is off by a fifth."""
 SINGLE_ALLOWED = 1e-6  # relative to the robot's size
 SCENE_ALLOWED = 1e-9
 _DYNAMICS = (
@@ -42,8 +51,6 @@ _DYNAMICS = (
 _COUNTS = ("nbody", "njnt", "nv", "nu", "na", "neq", "ntendon", "npair", "nexclude", "nmocap", "nplugin", "nflex")
 """What the physics of a model consists of; shapes that are only shown, keyframes and sensors are added for readers."""
 PROVENANCE = "provenance.json"
-Surface = tuple[np.ndarray, np.ndarray]
-"""A closed surface: vertices (V, 3) m and faces (F, 3)."""
 
 
 def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = False) -> list[Check]:
@@ -61,8 +68,10 @@ def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = Fals
         if not all(check.passed for check in checks[1:]):
             return checks  # no reader sees what asks for more than a bundle needs
         checks += _prove_physics(files, design, task, phi)
-        if "run_policy.py" in files:
-            checks += _guarded("run_policy.py", lambda: [_check_program(files["run_policy.py"], task, phi)])
+        if {"run_policy.py", "policy.py"} & files.keys():
+            checks += _guarded("run_policy.py", lambda: _check_program(files, task, phi))
+        if onnx_policy.FILE in files:
+            checks.append(check_onnx(files, task, phi))
         checks += prove_robot(files, design, task, phi, only_mujoco=only_mujoco)
         if episodes and "policy.npz" in files:
             checks += prove_policy(files, task, phi, _promised(files), episodes)[1]
@@ -78,12 +87,29 @@ def _check_name(design: Design, task: Task) -> Check:
     return Check(f"{FILE}: robot", float(not same), 0.0, "" if same else f"{design.robot[:40]!r}, not {expected}")
 
 
-def _check_program(content: bytes, task: Task, phi: np.ndarray) -> Check:
+def _check_program(files: Mapping[str, bytes], task: Task, phi: np.ndarray) -> list[Check]:
     """Compare the program that runs the policy with the one that this version ships."""
-    program = robot_of(task).program(phi)
-    same = program is not None and content == program.source
-    said = "" if same else "not the program that this version ships: read it before you run it"
-    return Check("run_policy.py: the program that is shipped", float(not same), 0.0, said)
+    checks = []
+    for path, source in robot_of(task).program(phi).sources.items():
+        if path not in files:
+            continue
+        same = files[path] == source
+        said = "" if same else "not the program that this version ships: read it before you run it"
+        checks.append(Check(f"{path}: the program that is shipped", float(not same), 0.0, said))
+    return checks
+
+
+def check_onnx(files: Mapping[str, bytes], task: Task, phi: np.ndarray) -> Check:
+    """Compare the actions of policy.onnx with those of policy.npz."""
+    name = f"{onnx_policy.FILE}: actions, of the largest"
+    if not onnx_policy.is_available():
+        return Check(name, 0.0, onnx_policy.ALLOWED, f"not compared: {onnx_policy.MISSING}")
+    try:
+        policy, program = read_policy(files["policy.npz"]), robot_of(task).program(phi)
+        off = onnx_policy.off_from_arrays(files[onnx_policy.FILE], policy, program)
+    except Exception as error:  # whatever a reader throws at a broken file is the finding
+        return Check(name, math.inf, onnx_policy.ALLOWED, f"can't be compared: {str(error) or type(error).__name__}")
+    return Check(name, off, onnx_policy.ALLOWED, f"{onnx_policy.PAIRS} observations")
 
 
 def _prove_physics(files: Mapping[str, bytes], design: Design, task: Task, phi: np.ndarray) -> list[Check]:
@@ -130,6 +156,8 @@ def prove_robot(
         checks += _guarded(f"{urdf}: speeds", lambda: [_check_speeds(urdf, files[urdf], model, robot.speeds)])
     for part in design.parts:
         checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed))
+    if PIECES in files:
+        checks += _guarded("plates", lambda: check_plates(files, design.parts))
     if "assembly.glb" in files:
         checks += _guarded("assembly.glb", lambda: _check_assembly(files["assembly.glb"], design, model, printed))
     return checks
@@ -161,16 +189,25 @@ def _check_speeds(path: str, content: bytes, model: mujoco.MjModel, speeds: Mapp
 
 
 def prove_policy(
-    files: Mapping[str, bytes], task: Task, phi: np.ndarray, promised: list[Score], episodes: int
+    files: Mapping[str, bytes],
+    task: Task,
+    phi: np.ndarray,
+    promised: list[Score],
+    episodes: int,
+    recorder: Recorder | None = None,
 ) -> tuple[Score | None, list[Check]]:
-    """Run the policy on the scene read from its file, and compare its success with what is `promised`."""
+    """Run the policy on the scene read from its file, and compare its success with what is `promised`.
+
+    A `recorder` is shown what the hardware does.
+    """
     name = "policy"
     try:
         with tempfile.TemporaryDirectory() as folder:
             unpack(files, Path(folder))
             scene = _as_simulated(mujoco.MjSpec.from_file(str(Path(folder) / "scene.xml")), task, phi)
             reloaded = scene.compile()
-            found = score(task, read_policy(files["policy.npz"]), task.hw_phy_from(scene, phi), episodes, "reloaded")
+            policy, hardware = read_policy(files["policy.npz"]), task.hw_phy_from(scene, phi)
+            found = score(task, policy, hardware, episodes, "reloaded", recorder=recorder)
     except Exception as error:  # as with every other file
         return None, [Check(name, math.inf, 0.0, f"can't be run: {error}")]
     checks = [_compare_scenes(task.scene(phi).compile(), reloaded)]
@@ -260,29 +297,23 @@ def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjMod
         mesh = trimesh.load_mesh(io.BytesIO(files[stl]), file_type="stl")
         surfaces[stl] = np.asarray(mesh.vertices) * MILLIMETRE, np.asarray(mesh.faces)
     if three_mf in files:
-        surfaces[three_mf], check = _read_three_mf(three_mf, files[three_mf], part)
+        bodies, check = check_part_file(three_mf, files[three_mf], part)
+        surfaces |= bodies
         checks.append(check)
+    pieces = [surface for path, surface in surfaces.items() if path not in (stl, three_mf)]
+    if pieces and printed:
+        missing = 1 - sum(moments(*piece).inertial(part.density).mass for piece in pieces) / part.mass
+        checks.append(Check(f"{three_mf}: mass that its pieces miss", abs(missing), DOWELS_ALLOWED))
     for path, surface in surfaces.items():
         checks.append(_check_solid(path, surface, one_body=printed))
         if not len(surface[1]):
             continue
         for link in part.links:
             if link != BASE:
-                checks += _check_mass(path, surface, model, link) if printed else []
+                whole = path in (stl, three_mf)
+                checks += _check_mass(path, surface, part.density, model, link) if printed and whole else []
                 checks += _check_enclosed(path, surface, model, link)
     return checks
-
-
-def _read_three_mf(path: str, content: bytes, part: PartEntry) -> tuple[Surface, Check]:
-    """Return the surface of the one part that trimesh finds in a 3MF, and the check of what else that says of it."""
-    import trimesh
-
-    scene = trimesh.load_scene(io.BytesIO(content), file_type="3mf")
-    ((name, mesh),) = scene.geometry.items()
-    copies, unit = len(scene.graph.nodes_geometry), scene.units
-    sound = copies == len(part.links) and name == part.name and unit == "millimeter"
-    check = Check(f"{path}: quantity, name and unit", float(not sound), 0.0, f"{copies} x {name} in {unit}")
-    return (np.asarray(mesh.vertices) * MILLIMETRE, np.asarray(mesh.faces)), check
 
 
 def _check_solid(path: str, surface: Surface, one_body: bool) -> Check:
@@ -307,19 +338,16 @@ def _check_solid(path: str, surface: Surface, one_body: bool) -> Check:
     return Check(name, float(len(faults)), 0.0, "; ".join(faults))
 
 
-def _check_mass(path: str, surface: Surface, model: mujoco.MjModel, link: str) -> list[Check]:
-    """Compare the mass properties of a printed part with those of the body that is simulated."""
+def _check_mass(path: str, surface: Surface, density: float, model: mujoco.MjModel, link: str) -> list[Check]:
+    """Compare the mass of a printed part with that of the body that is simulated, and how it is spread about."""
     body = body_of(model, link)
-    printed = moments(*surface).inertial()
-    mass, reading = model.body_mass[body], read_mjcf(model)
-    inertia = reading.inertias[link]
+    printed = moments(*surface).inertial(density)
+    mass = float(model.body_mass[body])
     off_centre = np.abs(printed.com - model.body_ipos[body]).max() / np.ptp(surface[0], axis=0).max()
     return [
-        Check(f"{path}: mass of {link}", abs(printed.mass - float(mass)) / float(mass), MASS_ALLOWED),
-        Check(f"{path}: centre of mass of {link}", float(off_centre), MASS_ALLOWED),
-        Check(
-            f"{path}: inertia of {link}", float(np.abs(printed.inertia - inertia).max() / inertia.max()), MASS_ALLOWED
-        ),
+        Check(f"{path}: mass of {link}", abs(printed.mass - mass) / mass, MASS_ALLOWED),
+        Check(f"{path}: density", density, DENSITY),
+        Check(f"{path}: centre of mass of {link}", float(off_centre), CENTRE_ALLOWED),
     ]
 
 
@@ -353,7 +381,7 @@ def _check_assembly(content: bytes, design: Design, model: mujoco.MjModel, print
                 continue
             mesh = scene.geometry[geometry].copy()
             mesh.merge_vertices(merge_norm=True, merge_tex=True)
-            mass = moments(np.asarray(mesh.vertices), np.asarray(mesh.faces)).inertial().mass
+            mass = moments(np.asarray(mesh.vertices), np.asarray(mesh.faces)).inertial(part.density).mass
             masses[link] = abs(mass - part.mass) / part.mass
     positions = worst("assembly.glb: positions of the links", SINGLE_ALLOWED, places)
     return [positions, *[worst("assembly.glb: masses", MASS_ALLOWED, masses)] * printed]

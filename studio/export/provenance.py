@@ -45,6 +45,8 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     """Digests of every other file, by path."""
     checks: list[str]
     """Comparisons of the exported files with the simulated robot, a line each."""
+    printer: str = ""
+    """Printer that the plates are laid out for; empty without any."""
     oldest_mujoco: str = ""
     """Oldest MuJoCo that knows every word of the .xml files; empty without any."""
     policy: list[Score] = []
@@ -60,6 +62,7 @@ def provenance_of(
     checks: list[str],
     policy: list[Score],
     oldest_mujoco: str,
+    printer: str,
 ) -> Provenance:
     """Return where the design of an iteration comes from, with a digest of each of `files`."""
     record = history.record
@@ -82,6 +85,7 @@ def provenance_of(
         commands_sha256=hashlib.sha256(msgspec.json.encode(commands)).hexdigest(),
         sha256={name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())},
         checks=checks,
+        printer=printer,
         oldest_mujoco=oldest_mujoco,
         policy=policy,
         exported=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),

@@ -28,8 +28,10 @@ MOST_ELEMENTS = 20_000
 _ARCHIVES = (".3mf", ".mjz", ".npz")
 _BELONGS = (
     "design.json", "provenance.json", "README.txt", "LICENSE", "BOM.csv", "report.html", "control.json",
-    "assembly.glb", "policy.npz", "run_policy.py", "scene.xml", "{robot}.xml", "{robot}.mjz", "{robot}.urdf",
-    "parts/*.stl", "3mf/*.3mf", "step/*.step", "meshes/*", "meshes_scene/*", "meshes_urdf/*",
+    "servos.json", "assembly.glb", "policy.npz", "policy.onnx", "policy.py", "run_policy.py", "scene.xml",
+    "{robot}.xml", "{robot}.mjz", "{robot}.urdf",
+    "parts/*.stl", "3mf/*.3mf", "plates/*.3mf", "plates/*.svg", "plates/*.csv", "step/*.step", "meshes/*",
+    "meshes_scene/*", "meshes_urdf/*",
     "ros/*_description/*",
 )  # fmt: skip
 """What an export consists of."""

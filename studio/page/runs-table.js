@@ -1,6 +1,6 @@
 // The table of runs: its columns, and the keys by which it is used. Whatever people wrote is set as text, never as HTML.
 
-import { Tabulator } from "/page/vendor/tables.js";
+import { Tabulator } from "./vendor/tables.js";
 
 export function duration(seconds) {
   if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
@@ -81,7 +81,7 @@ function columns({ onStar, onOpen }, all) {
         const button = Object.assign(made("button", "open"), { type: "button", tabIndex: -1, title: "Open in the 3-D viewer" });
         const picture = Object.assign(made("img", "thumb"), { loading: "lazy", alt: `Open ${row.label} in the 3-D viewer`, width: 84, height: 63 });
         picture.addEventListener("error", () => button.remove());
-        picture.src = `/api/runs/${encodeURIComponent(row.id)}/thumbnail.png?design=best&of=${row.best?.iteration ?? 0}`;
+        picture.src = `api/runs/${encodeURIComponent(row.id)}/thumbnail.png?design=best&of=${row.best?.iteration ?? 0}`;
         button.append(picture);
         button.addEventListener("click", () => onOpen(row));
         return button;
@@ -147,7 +147,7 @@ function keepBox(box, table) {
   for (const event of ["rowSelectionChanged", "renderComplete"]) table.on(event, show);
 }
 
-export function makeTable(element, wishes) {
+export function makeTable(element, pages, wishes) {
   const all = boxForAll();
   const table = new Tabulator(element, {
     index: "id", columns: columns(wishes, all), layout: "fitColumns", responsiveLayout: "hide", height: "100%", rowHeight: 66,
@@ -161,6 +161,9 @@ export function makeTable(element, wishes) {
   });
   keepBox(all, table);
   table.on("tableBuilt", () => {
+    // A grid holds rows and nothing else: its pages stand beside it, and what scrolls is reached through its rows.
+    pages.append(element.querySelector(".tabulator-footer"));
+    element.querySelector(".tabulator-tableholder").removeAttribute("tabindex");
     for (const column of element.querySelectorAll(".tabulator-col.tabulator-sortable")) column.tabIndex = 0;
   });
   for (const event of ["renderComplete", "dataFiltered", "pageLoaded"]) table.on(event, () => requestAnimationFrame(() => offerFirstRow(element)));

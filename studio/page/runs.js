@@ -1,21 +1,24 @@
 // The runs page: every run of the folder, found again by search and filters, kept in order, and compared.
 
-import { Designs, Traces } from "/page/runs-charts.js";
-import { flat, made, makeTable, moveFocus, number, share } from "/page/runs-table.js";
+import { Designs, Traces } from "./runs-charts.js";
+import { flat, made, makeTable, moveFocus, number, share } from "./runs-table.js";
 
-const INTERVAL = 3000;
+const INTERVAL = 2000;
 const HIDDEN_INTERVAL = 15000;
+const WAIT = 15; // seconds for which the server holds the question for news while there are none
+const MOST_ASKED = 100; // rows that are asked for one by one
 const TOLD = 12000;
 const MOST_COMPARED = 100;
 const FILTERS = ["search", "status", "task", "method", "tag", "starred", "archived"];
 const ALL = { status: "any state", task: "any task", method: "any method", tag: "any tag" };
 
 const find = (id) => document.getElementById(id);
-const address = (run, rest = "") => `/api/runs/${encodeURIComponent(run)}${rest}`;
+const address = (run, rest = "") => `api/runs/${encodeURIComponent(run)}${rest}`;
 const counted = (count, word = "run") => `${count} ${count === 1 ? word : `${word}s`}`;
 
 let table = null;
-let version = null;
+let boot = null;
+let heard = null; // the mark of the last news, by which the server knows what this page has
 let known = new Map(); // id -> the row as it came
 let undoLast = null;
 let hushing = 0;
@@ -35,25 +38,36 @@ async function ask(path, method = "GET", body) {
   return answer;
 }
 
-async function look() {
+async function look(wait = 0) {
   try {
-    const headers = version ? { "If-None-Match": version } : {};
-    const response = await fetch("/api/table", { cache: "no-store", headers, signal: AbortSignal.timeout(20000) });
+    const words = new URLSearchParams(heard ? { wait, after: heard } : { wait });
+    const response = await fetch(`api/news?${words}`, { cache: "no-store", signal: AbortSignal.timeout(20000 + 1000 * wait) });
     if (response.status === 401) return say("The server was started anew: open the link it printed in its terminal.");
-    if (response.status !== 304) {
-      if (!response.ok) throw new Error(`/api/table answered ${response.status}`);
-      version = response.headers.get("ETag");
-      await show(await response.json());
-    }
+    if (!response.ok) throw new Error(`api/news answered ${response.status}`);
+    const news = await response.json();
+    if (news.is_new || !table) await hear(news);
+    [boot, heard] = [news.boot, news.mark];
     return say("");
   } catch {
+    heard = null;
     return say("The server does not answer; trying again. Runs go on without it.");
   }
 }
 
+// Ask for the rows that have changed, or for all where that is shorter, and show the table as it is now.
+async function hear(news) {
+  const changed = news.runs.map((run) => run.id);
+  const some = news.boot === boot && heard !== null && changed.length < MOST_ASKED;
+  const words = new URLSearchParams(some ? changed.map((run) => ["run", run]) : []);
+  const rows = some && !changed.length ? [] : await ask(some ? `api/table?${words}` : "api/table");
+  const lines = new Map([...(some ? known : []), ...rows.map((row) => [row.id, row])]);
+  await show((news.ids ?? [...lines.keys()]).filter((run) => lines.has(run)).map((run) => lines.get(run)));
+}
+
 async function watch() {
-  await look();
-  setTimeout(watch, document.hidden ? HIDDEN_INTERVAL : INTERVAL);
+  const began = performance.now();
+  await look(document.hidden || heard === null ? 0 : WAIT);
+  setTimeout(watch, document.hidden ? HIDDEN_INTERVAL : Math.max(0, INTERVAL - (performance.now() - began)));
 }
 
 function say(sentence) {
@@ -67,7 +81,7 @@ async function show(rows) {
   const before = known;
   known = new Map(rows.map((row) => [row.id, row]));
   find("empty").hidden = rows.length > 0;
-  find("table").hidden = find("filters").hidden = rows.length === 0;
+  find("all").hidden = find("filters").hidden = rows.length === 0;
   offerFilters(rows);
   if (!table) return build(rows.map(flat));
   const fresh = rows.filter((row) => !before.has(row.id));
@@ -87,7 +101,7 @@ async function show(rows) {
 
 function build(rows) {
   return new Promise((done) => {
-    table = makeTable(find("table"), { onStar: (row) => mark([row], { starred: !row.starred }), onOpen: (row) => open(row.id) });
+    table = makeTable(find("table"), find("pages"), { onStar: (row) => mark([row], { starred: !row.starred }), onOpen: (row) => open(row.id) });
     table.on("rowSelectionChanged", tellChosen);
     table.on("dataFiltered", (_, shown) => tellCount(shown.length));
     table.on("tableBuilt", async () => {
@@ -191,7 +205,6 @@ async function each(runs, act) {
       refused.push(error.message);
     }
   }
-  version = null;
   await look();
   return { done, refused };
 }
@@ -227,7 +240,7 @@ function archive(rows) {
 }
 
 async function restore(runs) {
-  const result = await each(runs, (run) => ask(`/api/trash/${encodeURIComponent(run)}/restore`, "POST"));
+  const result = await each(runs, (run) => ask(`api/trash/${encodeURIComponent(run)}/restore`, "POST"));
   report("Restored", result);
   return result;
 }
@@ -284,7 +297,7 @@ function edit(rows) {
 }
 
 async function listTrash() {
-  const trashed = await ask("/api/trash");
+  const trashed = await ask("api/trash");
   find("trash-list").replaceChildren(...trashed.map((one) => {
     const item = made("li"), name = made("span", "", one.id), button = Object.assign(made("button", "", "Restore"), { type: "button" });
     name.append(made("br"), made("small", "", `deleted ${new Date(one.deleted * 1000).toLocaleString()}`));
@@ -303,7 +316,7 @@ async function listTrash() {
 }
 
 function open(run, iteration) {
-  location.assign(`/?${new URLSearchParams(iteration === undefined ? { run } : { run, iteration })}`);
+  location.assign(`./?${new URLSearchParams(iteration === undefined ? { run } : { run, iteration })}`);
 }
 
 // --- the comparison --------------------------------------------------------------------------------------------------
@@ -312,7 +325,7 @@ async function compare(runs) {
   const number = ++drawing;
   try {
     const words = new URLSearchParams(runs.map((run) => ["run", run]));
-    const overlay = await ask(`/api/traces?${words}`);
+    const overlay = await ask(`api/traces?${words}`);
     if (number !== drawing) return;
     compared = { runs, overlay };
     find("comparison").hidden = false;
@@ -391,7 +404,7 @@ find("empty-trash").addEventListener("click", async () => {
     find("empty-trash").textContent = "Remove all for good?";
     return;
   }
-  await ask("/api/trash", "DELETE").catch((error) => (find("trash-why").textContent = error.message));
+  await ask("api/trash", "DELETE").catch((error) => (find("trash-why").textContent = error.message));
   await listTrash();
 });
 find("theme").addEventListener("click", () => {

@@ -2,6 +2,7 @@
 
 const INTERVAL = 1000;
 const HIDDEN_INTERVAL = 5000;
+const WAIT = 10; // seconds for which the server holds the question for news while there are none
 const PATIENCE = 15000;
 const GIVEN_UP = "__given_up__";
 const UNCONNECTED = 8000; // milliseconds after which a viewer that has lost its server is opened anew
@@ -11,11 +12,17 @@ const [chooser, chip, statusWord, doing, progress] = ["chooser", "chip", "status
 const [banner, words, dismiss, viewer, loading, theme] = ["banner", "words", "dismiss", "viewer", "loading", "theme"].map(find);
 const [preview, first, title, plan] = ["preview", "first", "title", "plan"].map(find);
 
+const has3d = Boolean(document.createElement("canvas").getContext("webgl2"));
+
 let boot = null;
+let mark = null; // of the last news, by which the server knows what this page has
+const runs = new Map(); // id -> its line of the list, in the order of the list
 let reachable = true;
 let dismissed = "";
 let choosing = 0;
+let refused = ""; // why what was done last on this page could not be done
 let connected = performance.now();
+let attached = false; // whether the viewer was connected when last heard of
 
 // What this page shows: run and iteration stand in its address, what is ticked in this browser's storage. The viewer of
 // this page has a key, under which the server tells and is told what is shown.
@@ -38,7 +45,7 @@ function remembered(name) {
 async function putView(wanted) {
   view = { ...view, ...wanted };
   const body = JSON.stringify(view);
-  await fetch(`/api/desks/${key}`, { method: "PUT", headers: { "Content-Type": "application/json" }, body }).catch(() => null);
+  await fetch(`api/desks/${key}`, { method: "PUT", headers: { "Content-Type": "application/json" }, body }).catch(() => null);
 }
 
 function keepView(seen) {
@@ -47,18 +54,18 @@ function keepView(seen) {
   const query = new URLSearchParams();
   if (view.run !== null) query.set("run", view.run);
   if (view.iteration !== null) query.set("iteration", view.iteration);
-  const wanted = query.size ? `/?${query}` : "/";
-  if (wanted !== location.pathname + location.search) history.replaceState(null, "", wanted);
+  const wanted = query.size ? `?${query}` : "";
+  if (wanted !== location.search) history.replaceState(null, "", location.pathname + wanted);
 }
 
 // --- the viewer ------------------------------------------------------------------------------------------------------
 
 // While the viewer's client loads, which can take seconds, the page itself shows the task and offers the start.
 async function showPreview() {
-  const [{ tasks }, runs] = await Promise.all([ask("/api/tasks"), ask("/api/runs")]);
-  const current = runs.find((run) => run.id === view.run) ?? runs.find((run) => run.current);
+  const { tasks } = await ask("api/tasks");
+  const current = runs.get(view.run) ?? [...runs.values()].find((run) => run.current);
   const task = tasks.find((each) => each.name === current?.task) ?? tasks[0];
-  preview.src = `/api/tasks/${task.name}/preview.svg`;
+  preview.src = `api/tasks/${task.name}/preview.svg`;
   preview.hidden = false;
   title.textContent = task.title;
   plan.textContent = "method morph, seed 0, 100 iterations: change them in the viewer, or start at once";
@@ -70,22 +77,32 @@ first.addEventListener("submit", async (event) => {
   event.preventDefault();
   const button = first.querySelector("button");
   button.disabled = true;
-  const body = JSON.stringify({ task: first.dataset.task });
-  const response = await fetch("/api/runs", { method: "POST", headers: { "Content-Type": "application/json" }, body });
-  const answer = await response.json();
-  if (response.ok) await putView({ run: answer.id, iteration: null });
-  else say(answer.detail, "run");
-  first.hidden = response.ok;
+  first.hidden = await act(async () => putView({ run: (await post("api/runs", { task: first.dataset.task })).id, iteration: null }));
   button.disabled = false;
-  await look();
 });
 
+async function post(path, content) {
+  const response = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(content) });
+  const answer = await response.json();
+  if (!response.ok) throw new Error(answer.detail);
+  return answer;
+}
+
+// Do something and look what has become of it; a refusal is said. Return whether it was done.
+async function act(doing) {
+  refused = dismissed = "";
+  await doing().catch((error) => (refused = error.message));
+  await look();
+  return !refused;
+}
+
 async function openViewer() {
+  if (!has3d) return;
   loading.hidden = false;
   connected = performance.now() + PATIENCE;
   showPreview().catch(() => null); // the banner says what is wrong with the server
   await putView({});
-  viewer.src = `/viewer/${key}/${document.documentElement.dataset.theme === "dark" ? "?darkMode" : ""}`;
+  viewer.src = `viewer/${key}/${document.documentElement.dataset.theme === "dark" ? "?darkMode" : ""}`;
   const started = performance.now();
   const timer = setInterval(() => {
     // The canvas comes early and stays empty until the server's panels and scene have arrived.
@@ -101,6 +118,7 @@ async function openViewer() {
 
 // The viewer's client looks for a lost server only while it has the focus.
 function focusViewer() {
+  if (!has3d) return;
   if ([document.body, viewer, null].includes(document.activeElement)) viewer.contentWindow?.focus();
 }
 
@@ -115,7 +133,7 @@ theme.addEventListener("click", () => {
 
 const typing = (event) => event.target instanceof event.view.Element && event.target.closest("input, textarea, select, [contenteditable=true], dialog[open]");
 
-function hear(event) {
+function hearHelp(event) {
   if (event.key !== "?" || typing(event)) return false;
   event.preventDefault();
   find("keys").showModal();
@@ -124,15 +142,30 @@ function hear(event) {
 
 // A key that nothing on this page takes is meant for the viewer.
 document.addEventListener("keydown", (event) => {
-  if (hear(event) || typing(event) || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (hearHelp(event) || !has3d || typing(event) || event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.target.closest("button, a, #tour") && [" ", "Enter", "Tab", "Escape"].includes(event.key)) return;
   const { key, code, shiftKey } = event;
   viewer.contentDocument?.documentElement.dispatchEvent(new KeyboardEvent("keydown", { key, code, shiftKey, bubbles: true }));
   focusViewer();
 });
 
+// Of viser's own colours, those on which or with which words are too pale to be read.
+const READABLE = `:root[data-mantine-color-scheme="light"] {
+  --mantine-color-dimmed: #5b6570 !important; --mantine-color-gray-filled: #5b6570 !important;
+  --mantine-color-blue-filled: #2467ad !important;
+  --mantine-color-custom-filled: #2467ad !important; --mantine-color-custom-outline: #2467ad !important;
+  --mantine-primary-color-filled: #2467ad !important;
+}
+:root[data-mantine-color-scheme="dark"] {
+  --mantine-color-dimmed: #a9b1ba !important; --mantine-primary-color-filled: #5ba3ea !important;
+}
+:root[data-mantine-color-scheme="dark"] .mantine-Button-root:not([style*="--button-bg"]) { background: #2467ad !important; }`;
+
 viewer.addEventListener("load", () => {
-  viewer.contentDocument.addEventListener("keydown", hear);
+  const style = viewer.contentDocument.createElement("style");
+  style.textContent = READABLE;
+  viewer.contentDocument.head.append(style);
+  viewer.contentDocument.addEventListener("keydown", hearHelp);
   // An arrow moves the slider that has the focus, and not the timeline too.
   viewer.contentDocument.body.addEventListener("keydown", (event) => {
     if (event.key.startsWith("Arrow") && event.target.closest("[role=slider], [role=tab]")) event.stopPropagation();
@@ -168,17 +201,17 @@ function option(value, text, title, disabled) {
   return made;
 }
 
-function listRuns(runs, current) {
+function listRuns(current) {
   if (document.activeElement === chooser || Date.now() - choosing < 1500) return; // not while it is open
-  const prompt = runs.length ? "a new run" : "no runs yet";
-  const options = runs.map((run) => option(run.id, `${run.id}  ·  ${run.status}`, run.reason, run.status === "unreadable"));
+  const prompt = runs.size ? "a new run" : "no runs yet";
+  const options = [...runs.values()].map((run) => option(run.id, `${run.id}  ·  ${run.status}`, run.reason, run.status === "unreadable"));
   if (!current) options.unshift(option("", view.run ? `${view.run}  ·  gone` : prompt, "", true));
   const signature = options.map((o) => o.textContent).join("\n");
   if (chooser.dataset.signature !== signature) {
     chooser.replaceChildren(...options);
     chooser.dataset.signature = signature;
   }
-  chooser.disabled = runs.length === 0;
+  chooser.disabled = runs.size === 0;
   chooser.value = current ? current.id : "";
 }
 
@@ -220,10 +253,12 @@ function say(sentence, kind) {
 
 dismiss.addEventListener("click", () => {
   dismissed = words.textContent;
+  refused = "";
   banner.hidden = true;
 });
 
 function sayRun(run) {
+  if (refused) return say(refused, "run");
   const reason = run?.reason ? `: ${run.reason}` : "";
   if (run && ["failed", "lost", "unreadable"].includes(run.status)) say(`${run.status}${reason}  (${run.id})`, "run");
   else if (run?.status === "paused" && run.stage !== "paused") say(`paused${reason}`, "note");
@@ -233,35 +268,46 @@ function sayRun(run) {
 
 // --- the server ------------------------------------------------------------------------------------------------------
 
-async function ask(path) {
-  const response = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(4000) });
+async function ask(path, wait = 0) {
+  const response = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(4000 + 1000 * wait) });
   if (response.status === 401) return GIVEN_UP;
   if (!response.ok) throw new Error(`${path} answered ${response.status}`);
   return response.json();
 }
 
-async function look() {
+function askNews(wait) {
+  const query = new URLSearchParams({ wait });
+  if (has3d) query.set("desk", key);
+  if (mark) query.set("after", mark);
+  return ask(`api/news?${query}`, wait);
+}
+
+function hear(news) {
+  if (boot !== news.boot) runs.clear();
+  const lines = new Map([...runs, ...news.runs.map((run) => [run.id, run])]);
+  if (news.ids) runs.clear(); // they come in another order
+  for (const id of news.ids ?? lines.keys()) if (lines.has(id)) runs.set(id, lines.get(id));
+  [boot, mark] = [news.boot, news.mark];
+}
+
+async function look(wait = 0) {
   try {
-    const health = await ask("/healthz");
-    const restarted = boot !== null && health.boot !== boot;
-    boot = health.boot;
-    const runs = await ask("/api/runs");
-    if (runs === GIVEN_UP) {
+    const news = await askNews(wait);
+    if (news === GIVEN_UP) {
       say("The server was started anew: open the link it printed in its terminal.", "server");
       return;
     }
+    const restarted = boot !== null && news.boot !== boot;
+    hear(news);
     if (restarted) await openViewer();
     else if (!reachable) focusViewer();
     reachable = true;
-    const seen = await ask(`/api/desks/${key}`);
-    if (seen.connected) {
-      connected = Math.max(connected, performance.now());
-      keepView(seen);
-    } else if (performance.now() - connected > UNCONNECTED) await openViewer(); // after a sleep, or a lost network
-    const current = runs.find((run) => run.id === view.run);
-    listRuns(runs, current);
+    if (has3d) await follow(news.seen);
+    const current = runs.get(view.run);
+    listRuns(current);
     showRun(current);
     sayRun(current);
+    dispatchEvent(new CustomEvent("looked", { detail: current }));
   } catch {
     reachable = false;
     const where = navigator.onLine ? "The server does not answer" : "This device is offline";
@@ -269,13 +315,25 @@ async function look() {
   }
 }
 
+// Note what the viewer shows, or open it anew where it has lost the server: after a sleep, or a lost network.
+async function follow(seen) {
+  attached = seen.connected;
+  if (attached) {
+    connected = Math.max(connected, performance.now());
+    keepView(seen);
+  } else if (performance.now() - connected > UNCONNECTED) await openViewer();
+}
+
 async function watch() {
-  await look();
+  const began = performance.now();
+  await look(document.hidden || !reachable || boot === null || (has3d && !attached) ? 0 : WAIT);
   if (!reachable) focusViewer();
-  setTimeout(watch, document.hidden ? HIDDEN_INTERVAL : INTERVAL);
+  setTimeout(watch, document.hidden ? HIDDEN_INTERVAL : Math.max(0, INTERVAL - (performance.now() - began)));
 }
 
 document.addEventListener("visibilitychange", () => document.hidden || look());
-addEventListener("online", () => look());
-openViewer();
-watch();
+for (const change of ["online", "offline"]) addEventListener(change, () => look());
+addEventListener("DOMContentLoaded", () => {
+  openViewer();
+  watch();
+});

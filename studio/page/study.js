@@ -28,7 +28,7 @@ function load(version) {
     report.contentDocument.querySelectorAll("details").forEach((part, i) => (part.open = opened[i] ?? part.open));
     report.contentWindow.scrollTo(0, before);
   }, { once: true });
-  report.contentWindow.location.replace(`/study/report/report.html?${version}`);
+  report.contentWindow.location.replace(`study/report/report.html?${version}`);
 }
 
 function paint() {
@@ -55,9 +55,9 @@ theme.addEventListener("click", () => {
 
 async function look() {
   try {
-    const response = await fetch("/api/study", { cache: "no-store", signal: AbortSignal.timeout(8000) });
+    const response = await fetch("api/study", { cache: "no-store", signal: AbortSignal.timeout(8000) });
     if (response.status === 401) say("The server was started anew: open the link it printed in its terminal.");
-    else if (!response.ok) throw new Error(`/api/study answered ${response.status}`);
+    else if (!response.ok) throw new Error(`api/study answered ${response.status}`);
     else show(await response.json());
   } catch {
     say("The server does not answer; trying again. Runs go on without it.");

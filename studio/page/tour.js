@@ -20,7 +20,7 @@ const STEPS = [
   {
     title: "Take it home",
     words: "Export puts robot and policy into a zip, once both are proved to be one robot. All runs are on the page Runs, and ? shows the keys.",
-    place: () => tab("Export") ?? document.querySelector('.link[href="/runs"]'),
+    place: () => tab("Export") ?? document.querySelector('.link[href="runs"]'),
   },
 ];
 const [tour, ring] = ["tour", "ring"].map(find);

@@ -1,74 +1,101 @@
 """The printable parts in millimetres: links with a tang, a clevis or a fingertip, and pin bores; palm and base.
 
-A link hangs from its joint along -z and turns about y. Only its prismatic shaft grows with its length, so that its
-mass properties are the polynomials of `morph_core.tasks.printed`, and the shortest link is one body like the longest.
+They follow the collision shapes of `morph_core.tasks.hand` and `morph_core.tasks.arm`, so that what is printed touches
+where what is simulated touches. A link hangs from its joint along -z and turns about y; positive x is its back.
 """
 
-import json
 import math
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import get_args
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import repeat
+from typing import Literal
 
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
-from morph_core.tasks.printed import ARM_SCALE, FILE, LAID, LinkKind, LinkMoments, Moments, Servo
+from morph_core.tasks.arm import FOOT_CLEARANCE, FOOT_RADIUS, FOOT_THICKNESS, LINK_RADIUS
+from morph_core.tasks.hand import DISTAL_RANGE, FINGER_RADIUS, PALM_RADIUS, PALM_THICKNESS, PROXIMAL_RANGE
+from morph_core.tasks.printed import LAID, LinkKind, Moments, Servo
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of the parts in mm, unless a field says otherwise.
+    """Sizes of links and joints in mm, unless a field says otherwise."""
 
-    The shortest link has little room: the tests tell when a change needs more.
-    """
-
+    radius: float = 1e3 * FINGER_RADIUS
+    """Radius of a link and of the balls at its joints and tip: that of its collision shape."""
+    flat: float = 0.4
+    """Depth of the flats along a link, on one of which it is printed."""
     wall: float = 4.0
-    """Thickness of the material round a pin's bore."""
+    """Least thickness of the material round a pin's bore."""
+    rim: float = 0.6
+    """Thickness of the rim of a socket, which would end in a knife's edge without it."""
     pin_diameter: float = 4.0
     """Diameter of a dowel pin, which is pressed into the lugs."""
+    pin_length: float = 28.0
+    """Length of a dowel pin."""
     pin_play: float = 0.2
     """Difference of the diameters of the tang's bore and of the pin."""
     tang: float = 8.0
     """Thickness of the tang, along the pin."""
     side_play: float = 0.3
     """Distance between the tang and each lug."""
-    gap: float = 0.5
-    """Distance between a lug's round and the shoulder that turns round it."""
-    half_width: float = 11.0
-    """Half the width of links and mounts, along the pin."""
-    half_depth: float = 6.0
-    """Half the depth of a link's shaft, across the pin."""
-    corner: float = 3.0
-    """Radius of the shaft's edges."""
-    chamfer: float = 1.0
-    """Width of a shoulder's chamfer."""
-    fold: float = 2.2
-    """rad: largest angle by which a distal link can be folded against its proximal one, either way."""
-    overlap: float = 0.4
-    """Length by which pieces reach into each other, to become one body."""
-    tip_start: float = 7.4
-    """Distance before the end of the link at which the fingertip begins to taper."""
-    tip_reach: float = 14.5
-    """Length by which the fingertip reaches beyond the end of the link."""
-    tip_radii: tuple[float, float, float] = (5.0, 8.5, 6.0)
-    """Radii of the fingertip's round end: depth, width, length."""
+    gap: float = 0.3
+    """Distance between a ball and the socket that turns round it, and between two links that are folded."""
+    web: float = 5.0
+    """Least distance between the sockets at both ends of a link."""
+    back: float = -DISTAL_RANGE[0]
+    """rad: largest angle by which a link can be bent backward against the one before it."""
+    fold: float = DISTAL_RANGE[1]
+    """rad: largest angle by which a link can be folded inward against the one before it."""
     segments: int = 48
-    """Facets round a pin, a bore or a fingertip (a count)."""
-    palm_radius: float = 59.5
-    """Radius of the palm."""
-    palm_low: float = 8.0
-    """Height of the palm's underside above the pins of the fingers, which turn below it."""
-    palm_high: float = 27.0
+    """Facets round a ball, a pin or a bore (a count)."""
+
+    @property
+    def joint_radius(self) -> float:
+        """Least radius of tang and lugs round the pin."""
+        return self.pin_diameter / 2 + self.wall
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of links and mounts, along the pin: to the flats."""
+        return self.radius - self.flat
+
+    @property
+    def stretched(self) -> float:
+        """Length of a link from which on only its shaft grows, in the middle between its joints."""
+        return 5 * self.radius
+
+    @property
+    def socket(self) -> float:
+        """Distance from the pin at which the wall of a socket begins, as thick as `rim` at the flats."""
+        return math.sqrt((self.radius + self.gap) ** 2 - (self.half_width - self.rim) ** 2)
+
+    @property
+    def roomy(self) -> float:
+        """Length of the shortest link whose joints are as thick as itself."""
+        return 2 * (self.radius + self.gap) + self.web
+
+    def joint(self, length: float) -> float:
+        """Return the radius of the joints of a link of `length` mm: its own, or that for which a short one has room."""
+        return min(max((length - self.web) / 2 - self.gap, self.joint_radius), self.radius)
+
+
+@dataclass(frozen=True)
+class PalmSizes:
+    """Sizes of the palm in mm, unless a field says otherwise; its origin is level with the fingers' pins."""
+
+    radius: float = 1e3 * PALM_RADIUS
+    """Radius of the palm, on which the fingers' pins are: that of its collision shape."""
+    low: float = 1e3 * (FINGER_RADIUS - PALM_THICKNESS / 2)
+    """Height of the palm's underside above the pins of the fingers."""
+    high: float = 1e3 * (FINGER_RADIUS + PALM_THICKNESS / 2)
     """Height of the palm's top above the pins of the fingers."""
-    palm_chamfer: float = 2.0
+    chamfer: float = 1.0
     """Width of the chamfer of the palm's edges."""
-    palm_segments: int = 120
+    segments: int = 120
     """Facets round the palm (a count)."""
-    mount_radius: float = 60.0
-    """Distance of the fingers' pins from the palm's axis."""
-    mount_root: tuple[float, float] = (44.0, 54.0)
-    """Distances from the palm's axis between which a mount meets the palm."""
     bolt_circle: float = 50.0
     """Diameter of the circle on which the bolts are: with four M6 bolts it fits the flange ISO 9409-1-50-4-M6."""
     bolt_diameter: float = 6.6
@@ -85,178 +112,217 @@ class Sizes:
     """Distance, diameter and depth of the pilot holes of a servo's two screws."""
     tendon_hole: tuple[float, float] = (39.0, 2.0)
     """Distance from the palm's axis and diameter of the hole from a servo to the inner side of its finger."""
-    foot_radius: float = 47.5
-    """Radius of the arm's foot, before it is enlarged like the links."""
-    foot_high: float = -12.0
-    """Height of the top of the foot's disc above the axis of the arm, before it is enlarged."""
-    foot_low: float = -24.0
-    """Height of the foot's underside above the axis of the arm, before it is enlarged."""
-
-    @property
-    def joint_radius(self) -> float:
-        """Radius of tang and lugs round the pin."""
-        return self.pin_diameter / 2 + self.wall
-
-    @property
-    def shoulder(self) -> float:
-        """Distance from the pin of the shoulders, and of a slot's floor."""
-        return self.joint_radius + self.gap
-
-    @property
-    def neck(self) -> float:
-        """Half-depth of a link at its shoulder, where it can be folded: half the angle belongs to each of two links."""
-        half = (math.pi - self.fold) / 2
-        return self.shoulder * math.tan(half) - self.gap / 2 / math.cos(half)
-
-    @property
-    def relief(self) -> float:
-        """Distance from the pin at which a link that can be folded has its full depth."""
-        half = (math.pi - self.fold) / 2
-        return (self.half_depth + self.gap / 2 / math.cos(half)) / math.tan(half)
+    servo_joint: float = 10.5
+    """Largest radius of the joints under servos: a larger tang would turn into their pockets."""
+    swing: tuple[float, float] = PROXIMAL_RANGE
+    """rad: angles between which a finger turns on the palm; positive is outward."""
 
 
-SIZES = Sizes()
+SIZES, PALM = Sizes(), PalmSizes()
+ARM = replace(
+    SIZES, radius=1e3 * LINK_RADIUS, rim=0.45, wall=10.0, pin_diameter=10.0, pin_length=100.0, tang=20.0, web=12.5,
+    back=2.2, fold=2.2, segments=72,
+)  # fmt: skip
+"""Sizes of the arm's links, whose joints have no limits: they turn as far as links of their thickness can."""
+NECK = 0.6
+"""Radius of the neck between the arm's foot and its joint, as a share of the joint's."""
 _LINKS = 16
 """Size of the link caches: one design's worth. A larger cache grew a long-watched studio."""
+_FAR = 1e3
+"""mm: beyond every palm."""
+MARGIN = 0.01
+"""rad: what links are free to turn beyond their limits, which a servo overshoots."""
+SHORTEST = 0.01
+"""mm: shorter edges are left out: files of single precision would tear the surface there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drilled:
+    """A body, and the tools that make room in it for pins, bolts, cables and servos."""
+
+    body: Manifold
+    tools: tuple[Manifold, ...]
+
+    @cached_property
+    def solid(self) -> Manifold:
+        """The part as it is printed."""
+        return Manifold.batch_boolean([self.body, *self.tools], OpType.Subtract).simplify(SHORTEST)
+
+    @property
+    def filling(self) -> Manifold:
+        """What fills the room again: what is bought."""
+        return self.body ^ Manifold.batch_boolean(self.tools, OpType.Add)
+
+    def changed(self, change: Callable[[Manifold], Manifold]) -> "Drilled":
+        """Return the part after `change` was done to body and tools."""
+        return Drilled(change(self.body), tuple(change(tool) for tool in self.tools))
+
+
+Root = Literal["palm", "foot", "link"]
+"""What a link is mounted on."""
 
 
 @lru_cache(_LINKS)
-def link(kind: LinkKind, length: float, sizes: Sizes = SIZES) -> Manifold:
-    """Return a link of `length` mm in the frame of its joint."""
-    if kind == "proximal":
-        neck = sizes.half_depth - sizes.chamfer
-        return _clevis_shaft(length, sizes) + _eye(sizes, neck, sizes.tang) - _bore(sizes, sizes.pin_play)
-    return _tip_shaft(length, sizes) + _eye(sizes, sizes.neck, sizes.tang) - _bore(sizes, sizes.pin_play)
+def link(kind: LinkKind, length: float, start: float, end: float, root: Root, sizes: Sizes = SIZES) -> Drilled:
+    """Return a link of `length` mm in the frame of its joint.
 
-
-@lru_cache(2)
-def palm(angles: tuple[float, ...], servo: Servo = "none", sizes: Sizes = SIZES) -> Manifold:
-    """Return the palm with mounts, and pockets for servos above them, at `angles` rad.
-
-    Its origin is on its axis, at the height of the fingers' pins.
+    `start` and `end` are the radii of its joints; both links of a joint are drawn with the same.
     """
+    shaft = length - sizes.stretched
+    if shaft <= 0:
+        return drawn(kind, length, start, end, root, sizes)
 
-    def round_it(piece: Manifold) -> list[Manifold]:
-        return [piece.rotate((0, 0, math.degrees(angle))) for angle in angles]
+    def stretch(points: np.ndarray) -> np.ndarray:
+        return points - [0, 0, shaft] * (points[:, 2:] < -sizes.stretched / 2)
 
-    body = Manifold.batch_boolean([plate(sizes), *round_it(mount(sizes))], OpType.Add)
-    return body if servo == "none" else Manifold.batch_boolean([body, *round_it(pocket(sizes))], OpType.Subtract)
+    return drawn(kind, sizes.stretched, start, end, root, sizes).changed(lambda solid: solid.warp_batch(stretch))
+
+
+@lru_cache(_LINKS)
+def drawn(kind: LinkKind, length: float, start: float, end: float, root: Root, sizes: Sizes) -> Drilled:
+    """Return a link as `link` does, of any length without stretching it."""
+    bottom = (0, 0, -length)
+    ball, profile = Manifold.sphere(sizes.radius, sizes.segments), _profile(length, sizes)
+    body = Manifold.batch_hull([ball, ball.translate(bottom)]) ^ profile
+    if root != "foot":
+        body ^= _room(length, sizes, folds=root == "link")
+    body = (body - _socket(start, root, sizes)) + (_disc(start, sizes.tang, sizes) ^ profile)
+    tools = [_bore(sizes, sizes.pin_play)]
+    if kind == "proximal":
+        body ^= _room(length, sizes, folds=True).mirror((0, 0, 1)).translate(bottom)
+        body += _disc(end, 2 * sizes.half_width, sizes).translate(bottom) ^ profile
+        body -= _cylinder_y(end + sizes.gap, _slot(sizes), sizes).translate(bottom)
+        tools.append(_bore(sizes).translate(bottom))
+    return Drilled(body, tuple(tools))
 
 
 @lru_cache(2)
-def plate(sizes: Sizes = SIZES) -> Manifold:
-    """Return the palm without mounts."""
-    radius, low, high, c = sizes.palm_radius, sizes.palm_low, sizes.palm_high, sizes.palm_chamfer
-    profile = [
-        (sizes.cable_hole / 2, low), (radius - c, low), (radius, low + c), (radius, high - c), (radius - c, high),
-        (sizes.cable_hole / 2, high),
+def palm(angles: tuple[float, ...], joints: tuple[float, ...], servo: Servo = "none") -> Drilled:
+    """Return the palm with mounts at `angles` rad, whose joints have the radii `joints`, and pockets for servos."""
+    sizes = PALM
+    outline = [
+        (0, sizes.low), (sizes.radius - sizes.chamfer, sizes.low), (sizes.radius, sizes.low + sizes.chamfer),
+        (sizes.radius, sizes.high - sizes.chamfer), (sizes.radius - sizes.chamfer, sizes.high), (0, sizes.high),
     ]  # fmt: skip
-    disc = _turned(profile, sizes)
+    degrees = [math.degrees(angle) for angle in angles]
+
+    def round_it(pieces: Iterable[Manifold]) -> Manifold:
+        turned = [piece.rotate((0, 0, angle)) for piece, angle in zip(pieces, degrees, strict=False)]
+        return Manifold.batch_boolean(turned, OpType.Add)
+
+    body = _turned(outline, sizes.segments) - round_it(repeat(_swept()))
+    body = body + round_it(map(_mount, joints)) - round_it(map(_slot_of_mount, joints))
+    pin = _bore(SIZES).translate((sizes.radius, 0, 0))
+    tools = [pin.rotate((0, 0, angle)) for angle in degrees]
+    if servo != "none":
+        tools += [pocket().rotate((0, 0, angle)) for angle in degrees]
+    return Drilled(body, (*tools, *_bolts(sizes)))
+
+
+@lru_cache(_LINKS)
+def arm_link(kind: LinkKind, length: float, start: float, end: float, root: Root) -> Drilled:
+    """Return a link of the arm of `length` mm; it lies along x and turns about z."""
+    turn = np.column_stack([LAID, np.zeros(3)])
+    return link(kind, length, start, end, root, ARM).changed(lambda solid: solid.transform(turn))
+
+
+@lru_cache(2)
+def arm_base(joint: float) -> Drilled:
+    """Return the arm's foot: a disc, a neck and a lug, round whose pin the first link turns."""
+    sizes, top = ARM, -1e3 * (LINK_RADIUS + FOOT_CLEARANCE)
+    disc = _cylinder(1e3 * FOOT_RADIUS, top - 1e3 * FOOT_THICKNESS, top, PALM.segments)
+    under = -sizes.tang / 2 - sizes.side_play
+    neck = _cylinder(NECK * joint, top - 1, under, sizes.segments)
+    lug = _cylinder(joint, -sizes.half_width, under, sizes.segments) ^ Manifold.sphere(sizes.radius, sizes.segments)
+    return Drilled(disc + neck + lug, (_bore(sizes).rotate((90, 0, 0)),))
+
+
+def _profile(length: float, sizes: Sizes) -> Manifold:
+    """Return a square prism, whose sides are the flats of a link, from above its joint to below its end."""
+    side, beyond = sizes.half_width, 2 * sizes.radius
+    return _corners((-side, side), 2 * side, (-length - beyond, beyond))
+
+
+def _room(length: float, sizes: Sizes, *, folds: bool) -> Manifold:
+    """Return what a link may fill beside the one before it: half of what is between both where they are folded."""
+    far, width = 4 * (length + sizes.radius), 2 * sizes.radius
+    if not folds:
+        return _corners((-far, far), 2 * width, (-far, 0))
+    inward, back = ((math.pi - angle) / 2 - MARGIN for angle in (sizes.fold, sizes.back))
+    planes = np.array([[math.cos(inward), -math.sin(inward)], [-math.cos(back), -math.sin(back)]])
+    apex = np.linalg.solve(planes, np.full(2, sizes.gap / 2))
+    sides = apex + far * np.array([[-math.sin(inward), -math.cos(inward)], [math.sin(back), -math.cos(back)]])
+    return Manifold.hull_points(np.array([(x, y, z) for x, z in (apex, *sides) for y in (-width, width)]))
+
+
+def _socket(joint: float, root: Root, sizes: Sizes) -> Manifold:
+    """Return what is taken from a link for the lugs between which its tang turns, and for the neck of a foot."""
+    wide = 2 * sizes.radius
+    ball = Manifold.sphere(sizes.radius + sizes.gap, sizes.segments)
+    lugs = ball if joint == sizes.radius else ball ^ _cylinder_y(joint + sizes.gap, 2 * wide, sizes)
+    above = _corners((-wide, wide), 2 * wide, (-sizes.socket, wide))
+    if root == "foot":  # it has a lug on one side only
+        neck = _cylinder_y(NECK * joint + sizes.gap, 2 * wide, sizes)
+        return (lugs + above + neck).trim_by_plane((0, -1, 0), sizes.tang / 2)
+    return (lugs - _corners((-wide, wide), sizes.tang, (-wide, wide))) + above
+
+
+@lru_cache(_LINKS)
+def _swept() -> Manifold:
+    """Return what a finger at angle 0 needs of the palm to swing inward."""
+    reach, far, start = SIZES.radius + SIZES.gap, 3 * SIZES.radius, SIZES.socket - SIZES.gap
+    shaft = _cylinder(reach, -start - far, -start)
+    swing = np.linspace(PALM.swing[0] - MARGIN, 0, 5)
+    turned = [shaft.rotate((0, -math.degrees(angle), 0)) for angle in swing]
+    return Manifold.batch_hull(turned).translate((PALM.radius, 0, 0))
+
+
+@lru_cache(_LINKS)
+def _mount(joint: float) -> Manifold:
+    """Return what carries the pin of a finger at angle 0, without its slot."""
+    return _disc(joint, 2 * SIZES.half_width, SIZES).translate((PALM.radius, 0, 0))
+
+
+@lru_cache(_LINKS)
+def _slot_of_mount(joint: float) -> Manifold:
+    """Return what the tang of a finger at angle 0 needs of the palm."""
+    return _cylinder_y(joint + SIZES.gap, _slot(SIZES), SIZES).translate((PALM.radius, 0, 0))
+
+
+def _bolts(sizes: PalmSizes) -> list[Manifold]:
+    """Return the holes with which the palm is mounted: for bolts with their heads, and for cables."""
     head, depth = sizes.bolt_head
-    bolt = _cylinder(sizes.bolt_diameter / 2, low - 1, high + 1, sizes) + _cylinder(
-        head / 2, low - 1, low + depth, sizes
+    bolt = _cylinder(sizes.bolt_diameter / 2, sizes.low - 1, sizes.high + 1) + _cylinder(
+        head / 2, sizes.low - 1, sizes.low + depth
     )
-    bolts = [bolt.translate((sizes.bolt_circle / 2, 0, 0)).rotate((0, 0, 45 + 90 * i)) for i in range(4)]
-    return disc - Manifold.batch_boolean(bolts, OpType.Add)
+    cables = _cylinder(sizes.cable_hole / 2, sizes.low - 1, sizes.high + 1)
+    return [cables, *(bolt.translate((sizes.bolt_circle / 2, 0, 0)).rotate((0, 0, 45 + 90 * i)) for i in range(4))]
 
 
-@lru_cache(2)
-def mount(sizes: Sizes = SIZES, overlap: float = SIZES.overlap) -> Manifold:
-    """Return the clevis of a finger at angle 0, reaching into the palm by `overlap`."""
-    near, far = sizes.mount_root
-    root = _corners((near, far), 2 * sizes.half_width, (sizes.palm_low, sizes.palm_low + 1))
-    pin, eye = sizes.mount_radius, _cylinder_y(sizes.joint_radius, 2 * sizes.half_width, sizes)
-    # The neck begins above the pin: the shoulder of a finger that bends inward turns below it.
-    low = 0.3 * sizes.joint_radius
-    half = math.sqrt(sizes.joint_radius**2 - low**2) - 0.1
-    neck = _corners((pin - half, pin + half), 2 * sizes.half_width, (low, low + 1))
-    block = Manifold.batch_hull([neck, root]).trim_by_plane((0, 0, -1), -sizes.palm_low - overlap)
-    block += eye.translate((pin, 0, 0))
-    slot = _corners((pin - sizes.shoulder, 1e3), _slot(sizes), (-1e3, sizes.palm_low))
-    return block - slot - _bore(sizes).translate((pin, 0, 0))
-
-
-@lru_cache(2)
-def pocket(sizes: Sizes = SIZES) -> Manifold:
-    """Return what a servo's pocket, its screws and its tendon take from the palm, for a finger at angle 0."""
-    top, radius = sizes.palm_high, sizes.servo_radius
+@lru_cache(_LINKS)
+def pocket() -> Manifold:
+    """Return the holes for a servo, its screws and its tendon, for a finger at angle 0."""
+    top, radius = PALM.high, PALM.servo_radius
     (along, across, deep), (apart, pilot, screw), (hole, bore) = (
-        sizes.servo_pocket, sizes.servo_screws, sizes.tendon_hole
+        PALM.servo_pocket, PALM.servo_screws, PALM.tendon_hole
     )  # fmt: skip
-    body = _corners((radius - across / 2, radius + across / 2), along, (top - deep, top))
-    screws = [_cylinder(pilot / 2, top - screw, top, sizes).translate((radius, y, 0)) for y in (-apart / 2, apart / 2)]
-    tendon = _cylinder(bore / 2, sizes.palm_low, top, sizes).translate((hole, 0, 0))
+    body = _corners((radius - across / 2, radius + across / 2), along, (top - deep, top + 1))
+    screws = [_cylinder(pilot / 2, top - screw, top + 1).translate((radius, y, 0)) for y in (-apart / 2, apart / 2)]
+    tendon = _cylinder(bore / 2, PALM.low - 1, top + 1).translate((hole, 0, 0))
     return Manifold.batch_boolean([body, *screws, tendon], OpType.Add)
 
 
-@lru_cache(_LINKS)
-def arm_link(kind: LinkKind, length: float, sizes: Sizes = SIZES) -> Manifold:
-    """Return a link of the arm of `length` mm, which lies along x and turns about z: a finger's, enlarged."""
-    return link(kind, length / ARM_SCALE, sizes).transform(np.column_stack([ARM_SCALE * LAID, np.zeros(3)]))
+def _disc(joint: float, width: float, sizes: Sizes) -> Manifold:
+    """Return what of a joint's ball is within its radius of the pin, and `width` wide along it."""
+    wide = 2 * sizes.radius
+    whole = joint == sizes.radius
+    slab = _corners((-wide, wide), width, (-wide, wide)) if whole else _cylinder_y(joint, width, sizes)
+    return Manifold.sphere(sizes.radius, sizes.segments) ^ slab
 
 
-@lru_cache(2)
-def arm_base(sizes: Sizes = SIZES) -> Manifold:
-    """Return the arm's foot: a disc and a boss, on which the first link turns round its pin."""
-    bore, top = sizes.pin_diameter / 2, -sizes.tang / 2 - sizes.side_play
-    outline = [
-        (bore, sizes.foot_low), (sizes.foot_radius, sizes.foot_low), (sizes.foot_radius, sizes.foot_high),
-        (sizes.joint_radius, sizes.foot_high), (sizes.joint_radius, top), (bore, top),
-    ]  # fmt: skip
-    return _turned(outline, sizes).scale((ARM_SCALE, ARM_SCALE, ARM_SCALE))
-
-
-def _turned(outline: list[tuple[float, float]], sizes: Sizes) -> Manifold:
+def _turned(outline: list[tuple[float, float]], segments: int) -> Manifold:
     """Return the body of revolution of an outline (radius, z) about z."""
-    return Manifold.revolve(CrossSection([np.array(outline)]), sizes.palm_segments)
-
-
-def _clevis_shaft(length: float, sizes: Sizes) -> Manifold:
-    """Return a shaft with a shoulder at its joint and a clevis at its end."""
-    h, c, shoulder = sizes.half_depth, sizes.chamfer, sizes.shoulder
-    outline = [(h - c, -shoulder), (h, -shoulder - c), (h, sizes.relief - length), (sizes.neck, shoulder - length)]
-    end = (0, 0, -length)
-    lugs = _eye(sizes, sizes.neck, 2 * sizes.half_width).mirror((0, 0, 1)).translate(end)
-    slot = _corners((-1e3, 1e3), _slot(sizes), (-1e3, shoulder)).translate(end)
-    return ((_extruded(outline, sizes) + lugs) ^ _prism(length, sizes)) - slot - _bore(sizes).translate(end)
-
-
-def _tip_shaft(length: float, sizes: Sizes) -> Manifold:
-    """Return a shaft that can be folded at its joint, and tapers into a fingertip."""
-    taper = [(x, y, z) for x, y in _section(sizes) for z in (-sizes.shoulder, sizes.tip_start - length)]
-    radius = sizes.tip_radii[2]
-    ball = Manifold.sphere(1.0, sizes.segments).scale(sizes.tip_radii)
-    ball = ball.translate((0, 0, radius - sizes.tip_reach - length))
-    outline = [
-        (sizes.neck, -sizes.shoulder), (sizes.half_depth, -sizes.relief), (sizes.half_depth, -sizes.tip_reach - length),
-    ]  # fmt: skip
-    return Manifold.batch_hull([Manifold.hull_points(np.array(taper)), ball]) ^ _extruded(outline, sizes)
-
-
-def _eye(sizes: Sizes, neck: float, width: float) -> Manifold:
-    """Return a round lug about y; its neck reaches down into the shaft."""
-    foot = _corners((-neck, neck), width, (-sizes.shoulder - sizes.overlap, -sizes.shoulder))
-    return Manifold.batch_hull([_cylinder_y(sizes.joint_radius, width, sizes), foot])
-
-
-def _extruded(outline: list[tuple[float, float]], sizes: Sizes) -> Manifold:
-    """Return the convex body between an outline (x, z) and its mirror image, as wide as a link."""
-    y = sizes.half_width
-    return Manifold.hull_points(np.array([(a * x, b * y, z) for x, z in outline for a in (-1, 1) for b in (-1, 1)]))
-
-
-def _prism(length: float, sizes: Sizes) -> Manifold:
-    """Return the shaft's rounded section from above the joint to below the link's end."""
-    ends = (sizes.joint_radius + 1, -length - sizes.joint_radius - 1)
-    return Manifold.hull_points(np.array([(x, y, z) for x, y in _section(sizes) for z in ends]))
-
-
-def _section(sizes: Sizes) -> list[tuple[float, float]]:
-    """Return the corners (x, y) of the shaft's section."""
-    c, quarter = sizes.corner, sizes.segments // 4
-    angles = [math.pi / 2 * i / quarter for i in range(quarter + 1)]
-    x, y = sizes.half_depth - c, sizes.half_width - c
-    return [(a * (x + c * math.cos(t)), b * (y + c * math.sin(t))) for t in angles for a in (-1, 1) for b in (-1, 1)]
+    return Manifold.revolve(CrossSection([np.array(outline)]), segments)
 
 
 def _corners(x: tuple[float, float], width: float, z: tuple[float, float]) -> Manifold:
@@ -271,15 +337,15 @@ def _slot(sizes: Sizes) -> float:
 def _bore(sizes: Sizes, play: float = 0.0) -> Manifold:
     """Return the pin's hole about y; the pin fits inside its facets."""
     radius = (sizes.pin_diameter + play) / 2 / math.cos(math.pi / sizes.segments)
-    return _cylinder_y(radius, 4 * sizes.half_width, sizes)
+    return _cylinder_y(radius, 4 * sizes.radius, sizes)
 
 
-def _cylinder(radius: float, low: float, high: float, sizes: Sizes) -> Manifold:
-    return Manifold.cylinder(high - low, radius, radius, sizes.segments).translate((0, 0, low))
+def _cylinder(radius: float, low: float, high: float, segments: int = SIZES.segments) -> Manifold:
+    return Manifold.cylinder(high - low, radius, radius, segments).translate((0, 0, low))
 
 
 def _cylinder_y(radius: float, width: float, sizes: Sizes) -> Manifold:
-    return _cylinder(radius, -width / 2, width / 2, sizes).rotate((90, 0, 0))
+    return _cylinder(radius, -width / 2, width / 2, sizes.segments).rotate((90, 0, 0))
 
 
 def mesh(part: Manifold) -> tuple[np.ndarray, np.ndarray]:
@@ -295,36 +361,3 @@ def moments(vertices: np.ndarray, faces: np.ndarray) -> Moments:
     sums = corners.sum(1)
     squares = np.einsum("fci,fcj->fij", corners, corners) + np.einsum("fi,fj->fij", sums, sums)
     return Moments(float(volumes.sum()), volumes @ sums / 4, np.einsum("f,fij->ij", volumes, squares) / 20)
-
-
-def measured_link(kind: LinkKind, sizes: Sizes = SIZES) -> LinkMoments:
-    """Return the polynomials through four drawn links."""
-    lengths = np.array([0.02, 0.1, 0.25, 0.4])  # m
-    drawn = [moments(*mesh(link(kind, 1e3 * length, sizes))).scaled(1e-3) for length in lengths]
-
-    def through(values: list[float], degree: int) -> tuple[float, ...]:
-        return tuple(float(c) for c in np.polynomial.polynomial.polyfit(lengths, values, degree))
-
-    return LinkMoments(
-        volume=through([m.volume for m in drawn], 1),
-        z=through([m.first[2] for m in drawn], 2),
-        xx=through([m.second[0, 0] for m in drawn], 1),
-        yy=through([m.second[1, 1] for m in drawn], 1),
-        zz=through([m.second[2, 2] for m in drawn], 3),
-    )
-
-
-def measured() -> dict[str, object]:
-    """Return what `morph_core.tasks.printed` knows of the parts as they are drawn here, in metres."""
-    drawn: dict[str, object] = {"links": {kind: vars(measured_link(kind)) for kind in get_args(LinkKind)}}
-    for name, part in (("plate", plate()), ("mount", mount(SIZES, overlap=0.0)), ("pocket", pocket())):
-        m = moments(*mesh(part)).scaled(1e-3)
-        # All are symmetric about y = 0, the palm's plate in every direction round its axis.
-        first = [0.0 if name == "plate" else float(m.first[0]), 0.0, float(m.first[2])]
-        second = np.where(np.abs(m.second) > 1e-9 * np.abs(m.second).max(), m.second, 0.0).tolist()
-        drawn[name] = {"volume": m.volume, "first": first, "second": second}
-    return drawn
-
-
-if __name__ == "__main__":
-    FILE.write_text(json.dumps(measured(), indent=1) + "\n")

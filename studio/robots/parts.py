@@ -1,14 +1,14 @@
 """The parts of a design, named after the links that are made from them; and a model that shows them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
-from manifold3d import Manifold
 
 from morph_core.tasks.printed import DENSITY, Inertial, Moments
 from studio.robots import geometry
+from studio.robots.geometry import Drilled
 from studio.robots.stl import stl
 
 STL_FOLDER = "parts"
@@ -17,6 +17,8 @@ BASE = "base"
 COLLISION_GROUP, VISUAL_GROUP = 3, 2
 """Groups of geoms: viewers show 0 to 2 unless told otherwise."""
 MILLIMETRE = 0.001  # m
+SKIN = 0.8
+"""mm: thickness of a print's walls, top and bottom: two lines of a .4 mm nozzle, four layers of .2 mm."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,9 @@ class Part:
     vertices: np.ndarray  # (V, 3) mm
     faces: np.ndarray  # (F, 3)
     density: float = DENSITY
-    """kg/m^3: the density of what the part is made of."""
+    """kg/m^3: the part's mass over its volume; of one that is not printed solid, less than what it is made of."""
+    drilled: Drilled | None = field(default=None, repr=False)
+    """The part as it was drawn, where it was."""
 
     @property
     def quantity(self) -> int:
@@ -41,6 +45,14 @@ class Part:
     def size(self) -> np.ndarray:
         """Size (3,) of the box round the part, in mm along the axes of its link."""
         return np.ptp(self.vertices, axis=0)
+
+    @property
+    def infill(self) -> float:
+        """Share of the material behind a skin of `SKIN` mm with which the printed part has its mass."""
+        corners = self.vertices[self.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        volume, skin = self.moments.volume / MILLIMETRE**3, SKIN * float(np.linalg.norm(normals, axis=1).sum()) / 2
+        return (self.density / DENSITY * volume - skin) / (volume - skin)
 
     @property
     def moments(self) -> Moments:
@@ -58,12 +70,20 @@ class Part:
         return f"{STL_FOLDER}/{self.name}.stl"
 
 
-def parts_of(solids: Mapping[str, Manifold]) -> list[Part]:
-    """Return one part for each distinct solid, by the names of the links; equal ones come from the same cache."""
+def parts_of(drawn: Mapping[str, Drilled], masses: Mapping[str, float]) -> list[Part]:
+    """Return one part for each distinct drawing, by the names of the links; equal ones come from the same cache.
+
+    `masses` are what links weigh in the simulation (kg); a link without one is solid.
+    """
     links: dict[int, list[str]] = {}
-    for name, solid in solids.items():
-        links.setdefault(id(solid), []).append(name)
-    return [Part(names[0], tuple(names), *geometry.mesh(solids[names[0]])) for names in links.values()]
+    for name, drilled in drawn.items():
+        links.setdefault(id(drilled), []).append(name)
+    parts: list[Part] = []
+    for names in links.values():
+        drilled = drawn[names[0]]
+        density = masses[names[0]] / (drilled.solid.volume() * MILLIMETRE**3) if names[0] in masses else DENSITY
+        parts.append(Part(names[0], tuple(names), *geometry.mesh(drilled.solid), density, drilled))
+    return parts
 
 
 def stl_files(parts: Sequence[Part]) -> dict[str, bytes]:

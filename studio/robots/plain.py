@@ -8,9 +8,10 @@ import mujoco
 import numpy as np
 
 from morph_core.task import Task
+from morph_core.tasks.servos import ServoLimits, ServoName
 from studio.robots import geometry
 from studio.robots.parts import MILLIMETRE, Part, free_name, link_names
-from studio.robots.robot import Bought, Program
+from studio.robots.robot import Bought, Program, Quantity
 from studio.robots.shapes import solid_of
 from studio.robots.units import speeds_of, units_of
 
@@ -26,6 +27,9 @@ class PlainRobot:
 
     file_name = "robot"
     printed = False
+    servo_joints = ()
+    servo_limits: ServoLimits = "none"
+    about_servos = ""
     about_parts = "<p>The collision shapes of each link: they stand in for parts, which nobody has drawn."
 
     @property
@@ -46,7 +50,7 @@ class PlainRobot:
                 found.append(Part(name, (link,), *geometry.mesh(solid), density))
         return found
 
-    def bought(self, parts: Sequence[Part]) -> list[Bought]:
+    def bought(self, phi: np.ndarray, parts: Sequence[Part], servo: ServoName | None) -> list[Bought]:
         """Return nothing: a model does not tell what is bought."""
         return []
 
@@ -75,9 +79,42 @@ class PlainRobot:
                 f"{self.task.action_size} actions in [-1, 1] out;",
                 f"it does not run in MuJoCo by itself: {reason}",
             )
-            return Program("run_observations.py", command="python run_policy.py < observations.txt", about=about)
-        substeps = round(self.task.control_dt / self.task.scene(phi).option.timestep)
-        return Program("run_scene.py", {**units_of(self.task), "substeps": np.array(substeps)})
+            return Program(
+                "run_observations.py", sees=_numbered("observation", self.task.observation_size),
+                gives=_numbered("action", self.task.action_size), command="python run_policy.py < observations.txt",
+                about=about,
+            )  # fmt: skip
+        model = self.task.scene(phi).compile()
+        substeps = round(self.task.control_dt / model.opt.timestep)
+        places, ways = coordinates(model)
+        speeds = [Quantity(f"speed of {name}", f"{unit}/s") for name, unit in ways]
+        driven = [Quantity(model.actuator(i).name or f"actuator_{i}", "") for i in range(model.nu)]
+        return Program(
+            "run_scene.py", sees=[*places, *speeds][: self.task.observation_size],
+            gives=(driven or ways)[: self.task.action_size],
+            arrays={**units_of(self.task), "substeps": np.array(substeps)},
+        )  # fmt: skip
+
+
+def _numbered(name: str, count: int) -> list[Quantity]:
+    """Return quantities of which no more is known than their order."""
+    return [Quantity(f"{name}_{i}", "") for i in range(count)]
+
+
+def coordinates(model: mujoco.MjModel) -> tuple[list[Quantity], list[Quantity]]:
+    """Return what the entries of qpos (nq,) of a model are, and along which ways its degrees of freedom (nv,) go."""
+    places: list[Quantity] = []
+    ways: list[Quantity] = []
+    for j in range(model.njnt):
+        name, kind = model.joint(j).name or f"joint_{j}", int(model.jnt_type[j])
+        if kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            along = [Quantity(name, "rad" if kind == mujoco.mjtJoint.mjJNT_HINGE else "m")]
+            places, ways = places + along, ways + along
+            continue
+        shifts = [Quantity(f"{name} {axis}", "m") for axis in "xyz"] if kind == mujoco.mjtJoint.mjJNT_FREE else []
+        places += shifts + [Quantity(f"{name} q{axis}", "") for axis in "wxyz"]
+        ways += shifts + [Quantity(f"{name} about {axis}", "rad") for axis in "xyz"]
+    return places, ways
 
 
 def why_not_in_mujoco(task: Task, phi: np.ndarray) -> str:

@@ -3,13 +3,22 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from morph_core.tasks.servos import ServoLimits, ServoName
 from studio.robots.parts import Part
 
 PROGRAMS = Path(__file__).parent / "programs"
+
+
+class Quantity(NamedTuple):
+    """One entry of what a policy sees or gives."""
+
+    name: str
+    unit: str
+    """Unit of the entry; empty for a number without one."""
 
 
 @dataclass(frozen=True)
@@ -18,20 +27,49 @@ class Program:
 
     file: str
     """File name of the program's source in `PROGRAMS`."""
+    sees: Sequence[Quantity]
+    """What the policy sees, in its order."""
+    gives: Sequence[Quantity]
+    """What the policy gives, in its order."""
+    orientation: int | None = None
+    """Index of w of the quaternion among what the policy sees, which is the same orientation as its negative; None
+    without any."""
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Arrays that the program reads from policy.npz beside the policy itself, by name."""
+    """Arrays that the program reads from policy.npz beside the policy itself, by name. Without "middle" and
+    "spread" it sees numbers as they are, without "action_scale" it gives them from -1 to 1."""
     command: str = "python run_policy.py"
     about: Sequence[str] = ()
     """Lines that README.txt says of the program beside the command."""
 
     @property
-    def source(self) -> bytes:
-        """Source text of the program, as bytes."""
-        return (PROGRAMS / self.file).read_bytes()
+    def sources(self) -> dict[str, bytes]:
+        """Texts of the program and of the policy as a function, by their paths in a bundle."""
+        files = {"run_policy.py": self.file, "policy.py": "policy.py"}
+        return {path: (PROGRAMS / file).read_bytes() for path, file in files.items()}
+
+    @property
+    def units(self) -> dict[str, np.ndarray]:
+        """Middle and spread (o,) of what the policy sees, and the scale (a,) of what it gives."""
+        known = {"middle": np.zeros(len(self.sees)), "spread": np.ones(len(self.sees))}
+        known["action_scale"] = np.ones(len(self.gives))
+        return known | {name: array for name, array in self.arrays.items() if name in known}
 
 
-Bought = Sequence[object]
-"""A line of BOM.csv: item, quantity, links, file, material, mass of each (g), size (mm), note."""
+@dataclass(frozen=True)
+class Bought:
+    """One kind of thing that a robot needs beside its printed parts."""
+
+    item: str
+    quantity: int
+    links: str = ""
+    material: str = ""
+    mass: float | None = None
+    """Mass of each in kg; None where it is not known."""
+    size: str = ""
+    """Size in mm."""
+    price: tuple[float, float] | None = None
+    """Price class: USD each, from and to; None where it is not known."""
+    note: str = ""
 
 
 class Robot(Protocol):
@@ -57,8 +95,23 @@ class Robot(Protocol):
         """Return the parts of a design (d,); ValueError for one that can't be put together."""
         ...
 
-    def bought(self, parts: Sequence[Part]) -> list[Bought]:
-        """Return what is needed beside the printed parts."""
+    def bought(self, phi: np.ndarray, parts: Sequence[Part], servo: ServoName | None) -> list[Bought]:
+        """Return what a design (d,) needs beside its printed parts, with the servo that was chosen to drive it."""
+        ...
+
+    @property
+    def servo_joints(self) -> Sequence[str]:
+        """Names of the joints that one servo each could drive; none where the torques of joints are not simulated."""
+        ...
+
+    @property
+    def servo_limits(self) -> ServoLimits:
+        """Servo within whose limits the task keeps these joints."""
+        ...
+
+    @property
+    def about_servos(self) -> str:
+        """Sentences about what is assumed between such a servo and its joint."""
         ...
 
     @property

@@ -10,9 +10,12 @@ from morph_core.tasks import hand, printed
 from morph_core.tasks.grasp import GraspTask
 from studio.export.policy import policy_at
 from studio.robots import geometry, stl
+from studio.robots.chooser import robot_of
 
 _LENGTH = 200.0
 """mm: length of the links whose meshes are carried; only their shaft, in the middle, grows with their length."""
+_MOUNT = 40.0
+"""mm: where on the palm the piece begins that carries a finger, and how wide it is."""
 
 
 def shaping_of(history: History, task: GraspTask, iteration: int, phi: np.ndarray) -> dict[str, object] | None:
@@ -21,10 +24,6 @@ def shaping_of(history: History, task: GraspTask, iteration: int, phi: np.ndarra
     if type(made) is not hand.Hand:
         return None
     each = printed.MOUNT if made.servo == "none" else printed.MOUNT - printed.POCKET
-    parts = {
-        "plate": geometry.plate(), "mount": geometry.mount(),
-        "proximal": geometry.link("proximal", _LENGTH), "distal": geometry.link("distal", _LENGTH),
-    }  # fmt: skip
     return {
         "parameters": [
             {"name": p.name, "unit": p.unit, "lo": p.lo, "hi": p.hi, "value": float(value), "initial": p.initial}
@@ -43,11 +42,23 @@ def shaping_of(history: History, task: GraspTask, iteration: int, phi: np.ndarra
         "plate": _moments(printed.PLATE),
         "each": _moments(each),
         "mesh_length": _LENGTH,
-        "meshes": {
-            name: base64.b64encode(stl.stl(*geometry.mesh(part), name)).decode() for name, part in parts.items()
-        },
+        "meshes": {name: base64.b64encode(stl.stl(*surface, name)).decode() for name, surface in _meshes(task).items()},
         "bias_slope": _bias_slope(history, task, iteration, phi),
     }
+
+
+def _meshes(task: GraspTask) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return surfaces in mm: a palm without fingers, the piece of a palm that carries one at angle 0, and its links."""
+    design = np.concatenate([np.zeros(task.hand.fingers), np.full(task.hand.fingers, _LENGTH / 1000)])
+    parts = {link: part for part in robot_of(task).parts(design) for link in part.links}
+    mount = geometry.palm((0.0,), (geometry.SIZES.radius,)).solid
+    for normal, distance in (((1, 0, 0), _MOUNT), ((0, 1, 0), -_MOUNT / 2), ((0, -1, 0), -_MOUNT / 2)):
+        mount = mount.trim_by_plane(normal, distance)
+    links = {kind: parts[f"finger_1_{kind}"] for kind in ("proximal", "distal")}
+    return {
+        "plate": geometry.mesh(geometry.palm((), ()).solid), "mount": geometry.mesh(mount),
+        **{kind: (part.vertices, part.faces) for kind, part in links.items()},
+    }  # fmt: skip
 
 
 def _moments(moments: printed.Moments) -> dict[str, object]:

@@ -9,9 +9,6 @@ import viser
 from morph_core.design import DesignSpace
 from morph_core.protocol import AnyCommand, Lock, Parameter, SetBound, Unlock
 
-_MOST_OPEN = 5
-"""Largest number of rows that are all open at first; of more, each is folded."""
-
 
 @dataclass
 class Row:
@@ -27,12 +24,11 @@ class Row:
 class BoundsForm:
     """A row of inputs for each parameter of a design space, made where the caller has opened a container."""
 
-    def __init__(self, gui: viser.GuiApi, space: DesignSpace, *, expand: bool = True) -> None:
-        """Make the rows; they are open if there are few of them and they should `expand`."""
+    def __init__(self, gui: viser.GuiApi, space: DesignSpace) -> None:
+        """Make the rows; each is folded, so that all are in sight."""
         self._gui = gui
         self._space, self._phi = space, space.initial
-        expand = expand and len(space) <= _MOST_OPEN
-        self.rows = {p.name: self._row(p, expand) for p in space.parameters}
+        self.rows = {p.name: self._row(p) for p in space.parameters}
 
     def show(self, space: DesignSpace, phi: np.ndarray) -> None:
         """Show bounds and locks that have changed; inputs that somebody is editing stay as they are."""
@@ -68,11 +64,11 @@ class BoundsForm:
         pairs = zip(space.parameters, self._space.parameters, strict=True)
         return commands, [now for now, before in pairs if now != before]
 
-    def _row(self, p: Parameter, expand: bool) -> Row:
+    def _row(self, p: Parameter) -> Row:
         gui = self._gui
         unit = f" [{p.unit}]" if p.unit else ""
         step = _step(p)
-        with gui.add_folder(p.name, expand_by_default=expand) as folder:
+        with gui.add_folder(p.name, expand_by_default=False) as folder:
             bounds = gui.add_vector2(
                 f"bounds{unit}", (p.lo, p.hi), min=(p.hard_lo, p.hard_lo), max=(p.hard_hi, p.hard_hi), step=step,
                 hint=f"lowest and highest allowed value, inside {p.hard_lo:g} to {p.hard_hi:g} {p.unit}",

@@ -116,7 +116,8 @@ class Chart:
             self.handle.remove()
 
     def _say(self, sentence: str) -> None:
-        self.hide()
+        if self.handle is not None:
+            self.handle.visible = False
         self._note.content = wording.paragraph(f"<b>{wording.text(self.trace.title)}</b><br>{wording.dim(sentence)}")
         self._note.visible = True
 

@@ -36,15 +36,15 @@ def scale_of(points: Iterable[SweepPoint]) -> Scale | None:
     return Scale(min(returns), max(returns)) if returns else None
 
 
-def legend_of_curves(scale: Scale, episodes: int) -> str:
-    """Return as HTML what the curves mean."""
+def legend_of_curves(scale: Scale, episodes: int, policy: str) -> str:
+    """Return as HTML what the curves mean, which were measured with the sampled or the deterministic policy."""
     colours = (
         f"{wording.swatch(SUCCESS)} success, 0 to 100 % &emsp; "
         f"{wording.swatch(RETURN)} return, {_number(scale.lo)} to {_number(scale.hi)}"
     )
     said = (
-        f"{episodes} episodes at each value; pale: 95 % interval; upright line: this body; hatched: can't be put "
-        "together; faded: another slider was moved since"
+        f"{policy} policy, {episodes} episodes at each value; pale: 95 % interval; upright line: this body; "
+        "hatched: can't be put together; faded: another slider was moved since"
     )
     return wording.paragraph(f"{colours}<br>{wording.dim(said)}")
 

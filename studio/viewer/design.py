@@ -7,7 +7,6 @@ from morph_core.history import History
 from morph_core.protocol import AnyCommand, Parameter, Status
 from studio.viewer import wording
 from studio.viewer.bounds import BoundsForm, Row
-from studio.viewer.change import change_table
 from studio.viewer.parts import unit_of
 from studio.viewer.run import NOT_LIVE, Send
 
@@ -21,9 +20,8 @@ class DesignPanel:
         self._names: tuple[str, ...] = ()
         self._form: viser.GuiFormHandle | None = None
         self._bounds: BoundsForm | None = None
-        self.change = gui.add_html("", visible=False)
         self.note = gui.add_html(wording.paragraph(wording.dim("no data yet: press Start")))
-        self.holder = gui.add_folder("Bounds and locks", visible=False)
+        self.holder = gui.add_folder(None, visible=False)
         self._buttons: tuple[viser.GuiButtonHandle, ...] = ()
 
     @property
@@ -34,16 +32,14 @@ class DesignPanel:
     def clear(self) -> None:
         """Hide the form, as there is no run to show."""
         self.note.content = wording.paragraph(wording.dim("no data yet: press Start"))
-        self.holder.visible = self.change.visible = False
+        self.holder.visible = False
 
     def update(self, history: History, status: Status) -> None:
         """Show a run's present design; inputs that somebody is editing stay as they are."""
         space, phi = history.design_space, history.phi
         if self._bounds is None or tuple(space.names) != self._names:
             self._bounds = self._build(space)
-        self.holder.visible = self.change.visible = True
-        self.change.content = wording.paragraph("<b>Present design φ, against the initial one</b>")
-        self.change.content += change_table(history, phi)
+        self.holder.visible = True
         live = status not in NOT_LIVE
         self.note.content = wording.paragraph(
             wording.dim(

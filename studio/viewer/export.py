@@ -2,28 +2,35 @@
 
 from collections.abc import Callable, Sequence
 
+import msgspec
 import viser
 
 from morph_core.history import History
+from morph_core.tasks.servos import SERVOS
 from studio.export.bundle import ALL_FORMATS, OPTIONAL_FORMATS, Bundle
 from studio.export.design_file import DESIGN_TYPES
+from studio.export.printers import CHOICES as PRINTERS
+from studio.export.printers import DEFAULT
 from studio.export.ros import FOLDER
+from studio.export.servos import FILE, ServoTable, takes_servos, verdict
 from studio.viewer import wording
 
+BY_NEED = "by need"
+"""Word for the servo that the export chooses itself."""
 CHOICES = ("best", "latest", "iteration")
 HINTS = {
     "mjcf": "MuJoCo: the robot, the robot with its task, and one .mjz that live.mujoco.org opens",
     "urdf": "ROS, Isaac and others; servo gains in control.json",
     "stl": "to print, one file for each part, mm",
-    "3mf": "to print, with names and quantities, mm",
+    "3mf": "to print, lying on the plates of a printer, with pictures of them, mm",
     "glb": "the assembly to look at, m",
     "step": "for CAD programs; needs build123d and takes half a minute",
     "ros": "a ROS 2 description package, which a launch file shows in RViz",
     "ros2_control": "servos in the URDF: transmissions, and ros2_control with mock hardware",
 }
 _PLACES = {
-    "mjcf": (".xml", ".mjz"), "urdf": (".urdf", "control.json"), "stl": (".stl",), "3mf": (".3mf",), "glb": (".glb",),
-    "step": (".step",), "ros": (), "ros2_control": (),
+    "mjcf": (".xml", ".mjz"), "urdf": (".urdf", "control.json"), "stl": (".stl",), "3mf": (".3mf", ".svg"),
+    "glb": (".glb",), "step": (".step",), "ros": (), "ros2_control": (),
 }  # fmt: skip
 
 
@@ -33,7 +40,8 @@ def _is_of(name: str, path: str) -> bool:
 
 
 class ExportPanel:
-    """`on_export("best", "latest" or an iteration's number, formats)` builds and checks a bundle.
+    """`on_export("best", "latest" or an iteration's number, formats, servo, printer)` builds and checks a bundle; servo
+    and printer are None where nothing was asked for.
 
     `on_import(content, client)` is handed the bytes of a design.json or of a bundle.
     """
@@ -42,20 +50,27 @@ class ExportPanel:
         self,
         gui: viser.GuiApi,
         *,
-        on_export: Callable[[str, Sequence[str]], Bundle],
+        on_export: Callable[[str, Sequence[str], str | None, str | None], Bundle],
         on_import: Callable[[bytes, viser.ClientHandle | None], None],
     ) -> None:
         self._on_export = on_export
         self._history: History | None = None
         self._bundle: Bundle | None = None
+        self._takes_servos = False
         self.note = gui.add_html("")
         self.design = gui.add_dropdown("design", CHOICES, initial_value="best")
         self.iteration = gui.add_number("iteration", 0, min=0, step=1, visible=False, hint="0 is the initial design")
+        self.servo = gui.add_dropdown(
+            "servo", (BY_NEED, *SERVOS), initial_value=BY_NEED, visible=False,
+            hint="The real servo with which report.html compares what the policy needs: measured in 256 episodes, "
+            "which takes some seconds; by need: the cheapest that suffices in 32 episodes",
+        )  # fmt: skip
         self.formats_folder = gui.add_folder("Formats", expand_by_default=False)
         with self.formats_folder:
             self.formats = {
                 name: gui.add_checkbox(name, name not in OPTIONAL_FORMATS, hint=HINTS[name]) for name in ALL_FORMATS
             }
+            self.printer = gui.add_text("printer", DEFAULT.name, hint=f"For 3mf: {PRINTERS}")
         self.check = gui.add_button("Check and prepare", icon=viser.Icon.CHECKLIST, color="blue")
         self.notice = gui.add_html("", visible=False)
         self.download = gui.add_button("Download", icon=viser.Icon.DOWNLOAD, color="green", visible=False)
@@ -66,8 +81,10 @@ class ExportPanel:
         )  # fmt: skip
         self.design.on_update(lambda _: self._choose())
         self.iteration.on_update(lambda _: self._choose())
+        self.servo.on_update(lambda _: self._choose())
         for box in self.formats.values():
             box.on_update(lambda _: self._choose())
+        self.printer.on_update(lambda _: self._choose())
         self.check.on_click(lambda _: self.submit())
         self.download.on_click(lambda event: self.send(event.client))
         self.bring.on_upload(lambda event: on_import(event.target.value.content, event.client))
@@ -84,6 +101,7 @@ class ExportPanel:
         """Offer the designs of a run."""
         if self._history is None or self._history.folder.id != history.folder.id:
             self._forget()
+            self.servo.value, self._takes_servos = BY_NEED, takes_servos(history)
         self._history = history
         self._show(True)
         best = history.best
@@ -115,7 +133,9 @@ class ExportPanel:
         self.tell("building the files and comparing them…", wording.BLUE)
         self.check.disabled = True
         try:
-            bundle = self._on_export(which, [name for name, box in self.formats.items() if box.value])
+            servo = None if self.servo.value == BY_NEED else str(self.servo.value)
+            names = [name for name, box in self.formats.items() if box.value]
+            bundle = self._on_export(which, names, servo, self._wanted_printer(names))
         except (ValueError, OSError) as error:
             self.tell(str(error))
         else:
@@ -123,6 +143,11 @@ class ExportPanel:
             self._offer(bundle)
         finally:
             self.check.disabled = False
+
+    def _wanted_printer(self, formats: Sequence[str]) -> str | None:
+        """Return the printer that must be able to print every part; None where nothing was asked for."""
+        word = self.printer.value.strip()
+        return None if "3mf" not in formats or word in ("", DEFAULT.name) else word
 
     def send(self, client: viser.ClientHandle | None) -> None:
         """Hand the prepared bundle to the browser that asked for it."""
@@ -145,6 +170,10 @@ class ExportPanel:
         if policy:
             lines.append(("✓ policy and its program", wording.size(sum(policy))))
         agreed = f'<span style="color:{wording.GREEN};font-weight:600">✓ {len(bundle.checks)} comparisons agree</span>'
+        if FILE in bundle.files:
+            table = msgspec.json.decode(bundle.files[FILE], type=ServoTable)
+            colour = wording.GREEN if table.suffices else wording.RED
+            agreed += f'<br><span style="color:{colour}">{verdict(table)}</span>'
         hint = wording.dim("watch the .mjz: drop it on live.mujoco.org") if self.formats["mjcf"].value else ""
         self.result.content = wording.rows(lines) + wording.paragraph(f"{agreed}<br>{hint}")
         self.result.visible = True
@@ -162,4 +191,5 @@ class ExportPanel:
 
     def _show(self, visible: bool) -> None:
         self.design.visible = self.check.visible = self.formats_folder.visible = self.bring.visible = visible
+        self.servo.visible = visible and self._takes_servos
         self.iteration.visible = visible and self.design.value == "iteration"

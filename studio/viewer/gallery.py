@@ -12,11 +12,13 @@ import viser
 from morph_core.history import History
 from studio.cancellation import Cancellation
 from studio.viewer import wording
+from studio.viewer.links import Links
 from studio.viewer.newest import Newest
 
 MOST_STARRED, MOST_OTHERS = 24, 12
 """Largest number of starred designs, and of others, that are shown."""
 _COLUMNS = 3
+_FRAME = "text-align:center;line-height:1.3;border:1px solid #8884;border-radius:4px;padding:2px"
 
 
 class Album(Protocol):
@@ -85,12 +87,11 @@ class GalleryPanel:
         self._lock = threading.Lock()
         self._history: History | None = None
         self._pieces: list[Piece] = []
-        self._buttons: list[viser.GuiButtonHandle] = []
         with tab:
             self.note = gui.add_html("")
             self.draw = gui.add_button("Draw the gallery", icon=viser.Icon.PHOTO)
             self.pictures = gui.add_html("")
-            self.list = gui.add_folder("As a list", expand_by_default=False, visible=False)
+            self._links = Links(gui, self._turn)
         self.draw.on_click(lambda _: self.refresh())
         self.clear()
 
@@ -147,37 +148,30 @@ class GalleryPanel:
         self.note.content = wording.paragraph(wording.dim(wording.text(sentence)))
 
     def _put(self, pieces: list[Piece], pictures: dict[Piece, str]) -> None:
-        """Show pictures. Each is the label of a button of the list below, so that a click on it presses that button."""
+        """Show pictures; a click on one turns to its design."""
         self._pieces = pieces
-        for piece, button in zip(pieces, self._enough_buttons(len(pieces)), strict=False):
-            button.label = _title(piece)
-        for i, button in enumerate(self._buttons):
-            button.visible = i < len(pieces)
-        self.list.visible = bool(pieces)
+        self._links.offer([_title(piece) for piece in pieces])
         self.draw.label = "Draw it anew" if pieces else "Draw the gallery"
-        labels = (
-            f'<label for="{button._impl.uuid}" title="turn to the design of iteration {piece.iteration}" '
-            'style="cursor:pointer;text-align:center;line-height:1.3;border:1px solid #8884;border-radius:4px;'
-            f'padding:2px"><img alt="design of iteration {piece.iteration}" style="width:100%;display:block" '
-            f'src="data:image/png;base64,{pictures[piece]}">{wording.text(_title(piece))}<br>'
-            f"{wording.dim(wording.text(piece.words)) or '&nbsp;'}</label>"
-            for piece, button in zip(pieces, self._buttons, strict=False)
-        )
+        shown = [self._links.link(i, _picture(p, pictures[p]), _hint(p), _FRAME) for i, p in enumerate(pieces)]
         grid = f"display:grid;grid-template-columns:repeat({_COLUMNS}, 1fr);gap:6px;margin-top:0.4em"
-        self.pictures.content = wording.paragraph(f'<div style="{grid}">{"".join(labels)}</div>') if pieces else ""
-
-    def _enough_buttons(self, number: int) -> list[viser.GuiButtonHandle]:
-        """Return the buttons of the list, of which there are never fewer than `number`."""
-        with self.list:
-            while len(self._buttons) < number:
-                button, place = self._gui.add_button("", visible=False), len(self._buttons)
-                button.on_click(lambda _, place=place: self._turn(place))
-                self._buttons.append(button)
-        return self._buttons
+        self.pictures.content = wording.paragraph(f'<div style="{grid}">{"".join(shown)}</div>') if pieces else ""
 
     def _turn(self, place: int) -> None:
         if place < len(self._pieces):
             self._on_turn(self._pieces[place].iteration)
+
+
+def _picture(piece: Piece, png: str) -> str:
+    """Return a picture, which is a PNG in base64, with its words below as HTML."""
+    return (
+        f'<img alt="design of iteration {piece.iteration}" style="width:100%;display:block" '
+        f'src="data:image/png;base64,{png}">{wording.text(_title(piece))}<br>'
+        f"{wording.dim(wording.text(piece.words)) or '&nbsp;'}"
+    )
+
+
+def _hint(piece: Piece) -> str:
+    return f"turn to the design of iteration {piece.iteration}"
 
 
 def _title(piece: Piece) -> str:

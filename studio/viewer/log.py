@@ -10,47 +10,62 @@ from morph_core.protocol import Status
 from studio.branches import Member, place_in_words
 from studio.log import LogEntry, log_of
 from studio.viewer import wording
+from studio.viewer.links import Links
 
 _MOST = 100
 """Largest number of lines that are shown of a log."""
-_CHOOSE = "open one of them…"
+_LINK = "text-decoration:underline;text-decoration-color:#8888;text-underline-offset:0.2em"
 
 
 class LogPanel:
-    """The tree and the log of one run; `on_open` is called with the name of a run of the tree that is to be opened."""
+    """The tree and the log of one run; `on_open` is called with the name of a run of the tree that was clicked on."""
 
     def __init__(self, gui: viser.GuiApi, *, on_open: Callable[[str], None]) -> None:
         self._on_open = on_open
         self._shown: tuple[str, int] = ("", -1)
+        self._relatives: list[str] = []
         self.tree = gui.add_html("")
-        self.relatives = gui.add_dropdown("relatives", [_CHOOSE], visible=False, hint="The runs of this tree")
+        self._links = Links(gui, self._open)
         self.log = gui.add_html("")
-        self.relatives.on_update(lambda event: self._open() if event.client else None)
 
     def update(self, history: History, family: Member | None, statuses: Mapping[str, tuple[Status, str]]) -> None:
         """Show the tree in which a run stands, if it has relatives, and its log."""
         name = history.folder.id
+        self._relatives = [run for run in _names(family) if run != name] if family else []
+        self._links.offer(self._relatives)
         content = _heading("Branches") + (
-            _tree(family, name, statuses)
+            self._tree(family, name, statuses)
             if family
             else wording.paragraph(wording.dim("No run was branched from this one yet, and it is no branch itself."))
         )
         if content != self.tree.content:
             self.tree.content = content
-        others = [run for run in _names(family) if run != name] if family else []
-        options = (_CHOOSE, *others)
-        if tuple(self.relatives.options) != options:
-            self.relatives.options = options
-        self.relatives.visible = bool(others)
         if self._shown != (name, len(history.events)):
             self._shown = name, len(history.events)
             self.log.content = _heading("Log, newest first") + _log(log_of(history))
 
-    def _open(self) -> None:
-        chosen = self.relatives.value
-        self.relatives.value = _CHOOSE
-        if chosen in self.relatives.options and chosen != _CHOOSE:
-            self._on_open(chosen)
+    def _tree(self, root: Member, current: str, statuses: Mapping[str, tuple[Status, str]]) -> str:
+        """Return a tree as HTML: each run under the one that it was branched from, the current one marked, each other
+        one a link."""
+
+        def named(member: Member) -> str:
+            name = wording.text(member.run)
+            if member.run in self._relatives:
+                return self._links.link(self._relatives.index(member.run), name, f"open {member.run}", _LINK)
+            return f'<b style="color:{wording.BLUE}">{name}</b>' if member.run == current else name
+
+        def lines(member: Member) -> str:
+            status, _ = statuses.get(member.run, ("", ""))
+            said = " · ".join(word for word in (place_in_words(member), status) if word)
+            below = "".join(f"<li>{lines(child)}</li>" for child in member.children)
+            stem = f'<ul style="{_STEM}">{below}</ul>' if below else ""
+            return f"{named(member)}<br>{wording.dim(wording.text(said))}{stem}"
+
+        return wording.paragraph(lines(root))
+
+    def _open(self, place: int) -> None:
+        if place < len(self._relatives):
+            self._on_open(self._relatives[place])
 
 
 def _heading(words: str) -> str:
@@ -61,23 +76,6 @@ def _names(member: Member) -> list[str]:
     """Return the runs of a tree that are in this folder, from the oldest ancestor down."""
     here = [member.run] if member.here else []
     return here + [name for child in member.children for name in _names(child)]
-
-
-def _tree(root: Member, current: str, statuses: Mapping[str, tuple[Status, str]]) -> str:
-    """Return a tree as HTML: each run under the one that it was branched from, the current one marked."""
-
-    def lines(member: Member) -> str:
-        name = wording.text(member.run)
-        marked = f'<b style="color:{wording.BLUE}">{name}</b>' if member.run == current else name
-        status, _ = statuses.get(member.run, ("", ""))
-        said = " · ".join(word for word in (place_in_words(member), status) if word)
-        below = "".join(f"<li>{lines(child)}</li>" for child in member.children)
-        return (
-            f"{marked}<br>{wording.dim(wording.text(said))}"
-            + (f'<ul style="{_STEM}">{below}</ul>' if below else "")
-        )  # fmt: skip
-
-    return wording.paragraph(lines(root))
 
 
 _STEM = "list-style:none;margin:0.25em 0 0 0.3em;padding-left:0.8em;border-left:2px solid #8888"

@@ -2,7 +2,6 @@
 
 import functools
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,41 +12,13 @@ from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import Parameter
 from studio.robots.chooser import robot_of
+from studio.units import Unit, unit_of
 
 COLOURS = ("#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5aa9e6", "#d0342c", "#7a828e")
 """Colours that are told apart on white and on black, the first ones also by most colour-blind people."""
 
 _MEASURED = {"m": "length", "rad": "angle"}
 """A unit -> what is measured in it."""
-
-
-@dataclass(frozen=True)
-class Unit:
-    """Unit in which a quantity is shown, and with how many digits."""
-
-    name: str
-    factor: float
-    """Factor by which the parameter's own number is multiplied."""
-    digits: int
-
-    def number(self, value: float) -> str:
-        """Return a value of the parameter as a number in this unit, such as "12.0"."""
-        return f"{round(value * self.factor, self.digits) + 0.0:.{self.digits}f}".replace("-", "−")  # no "−0.0"
-
-    def words(self, value: float) -> str:
-        """Return a value of the parameter with the unit, such as "12.0 cm"."""
-        return f"{self.number(value)}{self._unit}"
-
-    def change(self, value: float) -> str:
-        """Return a change of the parameter, such as "+6.3 cm" or "−0.4 cm", and "±0.0 cm" where nothing is to be seen
-        of it."""
-        number = self.number(abs(value))
-        sign = "±" if float(number) == 0 else "+" if value > 0 else "−"
-        return f"{sign}{number}{self._unit}"
-
-    @property
-    def _unit(self) -> str:
-        return self.name if self.name == "°" else f" {self.name}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -73,15 +44,6 @@ class Quantity:
     name: str
     unit: Unit
     entries: tuple[Entry, ...]
-
-
-def unit_of(p: Parameter) -> Unit:
-    """Return the unit in which people think of a parameter: degrees, and centimetres for what is below a metre."""
-    if p.unit == "rad":
-        return Unit("°", math.degrees(1), 1)
-    if p.unit == "m":
-        return Unit("cm", 100.0, 1) if p.hard_hi < 1 else Unit("m", 1.0, 2)
-    return Unit(p.unit, 1.0, 2)
 
 
 def shows_parts(parameters: Sequence[Parameter]) -> bool:

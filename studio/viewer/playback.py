@@ -9,7 +9,7 @@ from morph_core.protocol import Recorded, Which
 from studio.viewer import wording
 from studio.viewer.player import SPEEDS, Player
 from studio.viewer.rewards import cursor, reward_chart, reward_legend
-from studio.viewer.take import Take
+from studio.viewer.take import FRAMES_PER_SECOND, Take
 from studio.viewer.view import Remembered
 
 Refuse = Callable[[str, viser.ClientHandle | None], None]
@@ -45,7 +45,9 @@ class PlaybackPanel:
                 "episode", (_ONLY,), hint="By return among the episodes of this evaluation; failed: a typical failure"
             )
             self.play = gui.add_button("Pause playback", icon=viser.Icon.PLAYER_PAUSE, hint="Space or K")
-            self.frame = gui.add_button_group("frame", ("◂ back", "on ▸"), hint="One frame, 1/30 s: , and . keys")
+            self.frame = gui.add_button_group(
+                "frame", ("◂ back", "on ▸"), hint=f"One frame, 1/{FRAMES_PER_SECOND} s: , and . keys"
+            )
             self.time = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
             self.rewards = gui.add_html("", visible=False)
             self.cursor = gui.add_html("", visible=False)
@@ -56,6 +58,9 @@ class PlaybackPanel:
                 "contact forces", False,
                 hint="Arrows at the end of each control step: the force on the object, or by the table on the hand",
             )  # fmt: skip
+        self._controls = self.play, self.frame, self.time, self.speed, self.loop
+        for handle in (*self._controls, self.episode, self.forces):
+            handle.visible = False
         self.episode.on_update(lambda event: self._choose(event.client) if event.client else None)
         self.play.on_click(lambda _: self.toggle_playback())
         self.frame.on_click(lambda event: self.step(-1 if event.target.value == "◂ back" else 1))
@@ -97,7 +102,7 @@ class PlaybackPanel:
             self.none.visible = not there
             self.episode.visible = there and take.shot.episode is not None
             self.forces.visible = there and take.has_forces
-            for handle in (self.play, self.frame, self.time, self.speed, self.loop):
+            for handle in self._controls:
                 handle.visible = there
             self.time.max = max(round(duration, 2), 0.01)
         self.time.value = min(round(seconds, 2), self.time.max)

@@ -6,27 +6,22 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-import viser
 
 from studio.cancellation import Cancellation
+from studio.viewer.camera import Camera
 from studio.viewer.figure import Figure
 from studio.viewer.ghosts import Beside, Crowd, make_crowd
 from studio.viewer.newest import Newest
 from studio.viewer.scene import (
     CONTACT_COLOUR,
-    FIELD_OF_VIEW,
     FORCE_COLOUR,
     GHOST_COLOURS,
-    NARROW,
-    USUAL_ASPECT,
     Arrows,
     Host,
     Layer,
     Letters,
     Ruler,
-    camera,
     clients_of,
-    initial_camera_of,
 )
 from studio.viewer.take import FRAMES_PER_SECOND, Second, Shot, Take, make_take
 
@@ -74,16 +69,16 @@ class Player:
         self._second_scenery = Layer(host, "second_scenery")
         self._letters = Letters(host, "letters", ("A", "B"))
         self._ruler = Ruler(host)
-        self._initial_camera = initial_camera_of(host)
+        self.camera = Camera(host)
         self._change = threading.Condition()
         self._shot: Shot | None = None
         self._take: Take | None = None
         self._built: Shot | None = None
         self._done: Shot | None = None
-        self._framed: tuple[object, ...] | None = None
         self._painted: dict[Layer, np.ndarray] = {}
         self._marked: bytes | None = None
         self._time = 0.0
+        self._drawn = -1
         self._sought = False
         self._playing = True
         self._looping = True
@@ -91,8 +86,6 @@ class Player:
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="viewer-player", daemon=True)
         self._thread.start()
-        if isinstance(host, viser.ViserServer):
-            host.on_client_connect(self._welcome)
 
     @property
     def take(self) -> Take | None:
@@ -154,12 +147,6 @@ class Player:
         """Set whether the episode begins again after its end."""
         self._looping = looping
 
-    def look_at_all(self) -> None:
-        """Point the cameras so that the whole scene is seen."""
-        if take := self._take:
-            for client in clients_of(self._host):
-                self._point(client, take)
-
     def stop(self) -> None:
         """End the threads that draw and build; wait for each for at most five seconds."""
         self._crowding.stop()
@@ -174,7 +161,8 @@ class Player:
             with self._change:
                 changed = self._shot != self._built
                 if not changed and not self._sought and self._crowd is None:
-                    self._change.wait(1 / FRAMES_PER_SECOND if self._moving() else _IDLE)
+                    next_frame = before + 1 / FRAMES_PER_SECOND - time.monotonic()
+                    self._change.wait(max(0.0, next_frame) if self._moving() else _IDLE)
                 shot, sought, self._sought = self._shot, self._sought, False
             now = time.monotonic()
             elapsed, before = now - before, now
@@ -216,7 +204,7 @@ class Player:
     def _put_up(self, take: Take) -> None:
         """Replace the scene's content; a design that follows another starts where that one was in its episode."""
         self._frame(take)
-        self._take = take
+        self._take, self._drawn = take, -1
         if self._time > take.duration:
             self._time = 0.0
         with self._host.atomic():
@@ -270,29 +258,9 @@ class Player:
         self._letters.show(second.letters if second and second.scenery is not None else None)
 
     def _frame(self, take: Take) -> None:
-        """Lay the ruler and point the cameras, once for each task and its options."""
-        aside = tuple(take.second.away) if take.second else (0.0, 0.0, 0.0)
-        place = (take.shot.task, take.shot.task_options, aside)
-        if place == self._framed:
-            return
-        self._framed = place
-        self._ruler.show(take.floor, take.box)
-        start = self._initial_camera
-        # viser's client goes to where it begins in its own time, so for one browser that is where it is pointed, too.
-        position, target = _pose(self._host, take) if isinstance(self._host, viser.ClientHandle) else camera(*take.box)
-        start.fov, start.position, start.look_at = FIELD_OF_VIEW, position, target
-        for client in clients_of(self._host):
-            self._point(client, take)
-
-    def _point(self, client: viser.ClientHandle, take: Take) -> None:
-        """Let a client see the whole scene, whatever the shape of its page."""
-        position, target = _pose(client, take)
-        client.camera.fov, client.camera.position, client.camera.look_at = FIELD_OF_VIEW, position, target
-
-    def _welcome(self, client: viser.ClientHandle) -> None:
-        """Point the camera of a client that has just come; that of a usual page begins where it should."""
-        if self._take and client.camera.aspect < NARROW:
-            self._point(client, self._take)
+        """Lay the ruler and point the camera, where they are not yet for what is to be seen."""
+        if self.camera.frame(take.shot.task, take.shot.task_options, take.box, alone=take.second is None):
+            self._ruler.show(take.floor, take.box)
 
     def _instant(self) -> int:
         return min(round(self._time * FRAMES_PER_SECOND), self._take.last_frame) if self._take else 0
@@ -302,9 +270,11 @@ class Player:
         return min(self._instant(), episode.frames - 1)
 
     def _draw(self) -> None:
-        take = self._take
-        if take is None:
+        """Draw the frame that it is time for, unless it stands there already, and send it at once."""
+        take, instant = self._take, self._instant()
+        if take is None or instant == self._drawn:
             return
+        self._drawn = instant
         frame = self._instant_of(take)
         with self._host.atomic():  # robot, lights and contact markers belong to one instant
             self._robot.pose(frame)
@@ -317,6 +287,7 @@ class Player:
             self._mark(take.contact[frame], take)
             radius = _ARROW_RADIUS * float(np.max(take.box[1] - take.box[0]))
             self._forces.show(take.forces.at(frame) if take.forces else np.zeros((0, 2, 3)), radius)
+        self._host.flush()  # else viser waits for as long as a frame lasts, and every few frames two become one
 
     def _paint(self, layer: Layer, colours: np.ndarray) -> None:
         if not np.array_equal(colours, self._painted.get(layer, colours)):
@@ -331,12 +302,6 @@ class Player:
         self._marked = marked.tobytes()
         radius = _CONTACT_RADIUS * float(np.max(take.box[1] - take.box[0]))
         self._contact.show(Figure.balls(marked, radius, "contact", CONTACT_COLOUR) if len(marked) else None)
-
-
-def _pose(client: viser.ClientHandle, take: Take) -> tuple[np.ndarray, np.ndarray]:
-    """Return position (3,) and target (3,) of a camera by which a client sees the whole scene."""
-    aspect = client.camera.aspect
-    return camera(*take.box, aspect if aspect < NARROW else USUAL_ASPECT)
 
 
 def _plain(figure: Figure | None, layer: str) -> np.ndarray | None:

@@ -58,10 +58,8 @@ class RunPanel:
         )  # fmt: skip
         self.log = gui.add_html("")
         self.rules = gui.add_html("")
-        self._everything = (
-            self.state, self.bar, self.numbers, self.pause, self.resume, self.more, self.branch, self.log,
-            self.rules,
-        )  # fmt: skip
+        self._always = self.state, self.bar, self.numbers, self.branch, self.log, self.rules
+        self._at_times = self.failure, self.pause, self.resume, self.more
         self.pause.on_click(lambda event: self._send(lambda: [Pause()], event.client))
         self.resume.on_click(lambda event: self.go_on(event.client))
         self.branch.on_click(lambda event: on_branch(event.client))
@@ -91,11 +89,9 @@ class RunPanel:
             self._send(lambda: [MORE[word]], client)
 
     def show_visible(self, visible: bool) -> None:
-        """Show or hide everything in the panel."""
-        for handle in self._everything:
+        """Show what is there in every state of a run, or hide everything; `update` shows the rest."""
+        for handle in self._always if visible else (*self._always, *self._at_times):
             handle.visible = visible
-        if not visible:
-            self.failure.visible = False
 
     def update(self, history: History, status: Status, message: str, pending: Sequence[AnyCommand]) -> None:
         """Show a run. `pending` are commands without an answer yet."""

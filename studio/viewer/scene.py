@@ -3,10 +3,11 @@
 import math
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import viser
+from viser._messages import SceneNodeUpdateMessage
 
 from studio.viewer import shapes
 from studio.viewer.figure import Figure, Mesh
@@ -40,6 +41,31 @@ _MOST_LABELS = 8
 """Largest number of lines along a side of the grid that all have their length written at them; of more, every second
 one has."""
 _RULER_COLOUR = (150, 155, 165)
+
+
+class _Changes(SceneNodeUpdateMessage):
+    """Arrays that a node's properties become.
+
+    viser's own message looks at the type of every value, and is found again by its node, in case that is removed or
+    made anew, which no node of a layer is.
+    """
+
+    def redundancy_key(self) -> str:
+        """Return what a later message has in common with this one that takes its place."""
+        return f"{self.name}:{','.join(self.updates)}"
+
+    def entity_state_key(self) -> None:
+        """Leave the message out of viser's index of messages by node."""
+
+    def as_serializable_dict(self, binary_buffers: list[memoryview] | None = None) -> dict[str, Any]:
+        """Return what goes to the browsers; the arrays themselves are appended to `binary_buffers`."""
+        if binary_buffers is None:
+            return super().as_serializable_dict()
+        places = {}
+        for name, array in self.updates.items():
+            places[name] = {"__binary_index": len(binary_buffers), "dtype": array.dtype.str}
+            binary_buffers.append(array.data)
+        return {"type": "SceneNodeUpdateMessage", "name": self.name, "updates": places, "owner": self.owner}
 
 
 @dataclass
@@ -85,17 +111,16 @@ class Layer:
         figure = self._figure
         if figure is None or instant == self._instant:
             return
-        moves = [(b.handle, figure.positions[instant, b.parts], figure.wxyz[instant, b.parts]) for b in self._shown]
         with self._host.atomic():
-            for handle, positions, wxyz in moves:
-                handle.batched_positions = positions
-                handle.batched_wxyzs = wxyz
+            for batch in self._shown:
+                moved = {"batched_positions": figure.positions[instant, batch.parts]}
+                _change(batch.handle, moved | {"batched_wxyzs": figure.wxyz[instant, batch.parts]})
         self._instant = instant
 
     def paint(self, colours: np.ndarray) -> None:
         """Give the parts other colours (n, 3) uint8."""
         for batch in self._shown:
-            batch.handle.batched_colors = _linear(colours[batch.parts])
+            _change(batch.handle, {"batched_colors": _linear(colours[batch.parts])})
 
     @property
     def _shown(self) -> list[_Batch]:
@@ -123,12 +148,11 @@ class Layer:
             self._batches[key] = _Batch(handle, parts, mesh)
             return
         batch.parts = parts
+        shape: dict[str, np.ndarray] = {}
         if mesh and batch.mesh and not _same(mesh, batch.mesh):
-            batch.handle.vertices, batch.handle.faces, batch.mesh = mesh.vertices, mesh.faces, mesh
-        batch.handle.batched_positions = positions
-        batch.handle.batched_wxyzs = wxyz
-        batch.handle.batched_scales = scales
-        batch.handle.batched_colors = _linear(colours)
+            shape, batch.mesh = {"vertices": mesh.vertices, "faces": mesh.faces}, mesh
+        placed = {"batched_positions": positions, "batched_wxyzs": wxyz, "batched_scales": scales}
+        _change(batch.handle, shape | placed | {"batched_colors": _linear(colours)})
 
 
 class Arrows:
@@ -181,6 +205,24 @@ class Letters:
             handle.visible = places is not None
             if places is not None:
                 handle.position = places[i]
+
+
+def _change(handle: viser.BatchedMeshHandle, arrays: dict[str, np.ndarray]) -> None:
+    """Give properties of a node other values, all of them by one message; what has its value already is left out.
+
+    The setters of viser's handles send a message for each property, which takes most of the time of a frame. The arrays
+    become the handle's own: whoever calls changes them no more.
+    """
+    props = handle._impl.props
+    changed = {
+        name: np.ascontiguousarray(array)
+        for name, array in arrays.items()
+        if not np.array_equal(getattr(props, name), array)
+    }
+    if changed:
+        for name, array in changed.items():
+            setattr(props, name, array)
+        handle._impl.api._queue_scene_message(_Changes(handle.name, changed))
 
 
 def light_up(host: Host) -> None:

@@ -222,7 +222,7 @@ class StartPanel:
             self.held = self._gui.add_folder("Bounds and locks", expand_by_default=False)
         self._bounds = None
         with contextlib.suppress(ValueError, TypeError, KeyError), self.held:  # said when the run is started
-            self._bounds = BoundsForm(self._gui, self._space(), expand=False)
+            self._bounds = BoundsForm(self._gui, self._space())
 
     def _show_source(self) -> None:
         """Say what the run begins with, where that is not the task's initial design."""

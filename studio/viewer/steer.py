@@ -9,7 +9,7 @@ from morph_core.config import NotNegative, Projection, check_value
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, SetAlpha, SetProjection, Status
 from studio.fields import docs_of
-from studio.viewer import explain
+from studio.viewer import explain, wording
 from studio.viewer.run import NOT_LIVE, Send
 
 
@@ -19,7 +19,8 @@ class SteerPanel:
     def __init__(self, gui: viser.GuiApi, *, send: Send) -> None:
         docs = docs_of(METHODS["morph"])
         self._in_force: tuple[float, Projection] | None = None
-        self.form = gui.add_form("Algorithm", visible=False)
+        self.note = gui.add_html("")
+        self.form = gui.add_form(None, visible=False)
         with self.form:
             self.alpha = gui.add_number("α", 1.0, min=0.0, step=0.1, hint=docs["alpha"])
             gui.add_html(explain.alpha())
@@ -32,10 +33,15 @@ class SteerPanel:
     def clear(self) -> None:
         """Hide the form, as there is no run to steer."""
         self.form.visible = False
+        self.note.content = wording.paragraph(wording.dim("no data yet: press Start"))
 
     def update(self, history: History, status: Status) -> None:
         """Show the values in force once they change; until then, what somebody is editing stays as it is."""
-        self.form.visible = status not in NOT_LIVE
+        live = self.form.visible = status not in NOT_LIVE
+        self.note.visible = not live
+        if not live:
+            said = f"This run is {status}: to change how it learns, branch from it (Run tab)."
+            self.note.content = wording.paragraph(wording.dim(said))
         in_force = history.in_force.alpha, history.in_force.projection
         if in_force != self._in_force:
             self._in_force = in_force

@@ -25,7 +25,7 @@ from studio.viewer.tint import Tint, painted
 Corners = tuple[np.ndarray, np.ndarray]
 """Lowest (3,) and highest corner (3,) of a box, in m."""
 
-FRAMES_PER_SECOND = 30
+FRAMES_PER_SECOND = 60
 GOAL_LIT = (20, 200, 90)
 WALL_LIT = (235, 90, 50)
 LIT_BY = {"button": ("pressed", (255, 214, 40))}
@@ -214,7 +214,7 @@ def make_take(shot: Shot) -> Take:
         robot = dataclasses.replace(robot, colours=painted(robot, shot.tint))
     contact = _moving_contacts(episode.contact, factor, len(frames))
     box, floor = _frame(shot.task, shot.options)
-    second = _second(shot, box) if shot.second else None
+    second = _second(shot, robot, box) if shot.second else None
     if second:
         box, floor = _both(box, second.away), _both(floor, second.away)
     arrows = _arrows(task, phi, recorded, _longest_side(box), factor) if shot.forces and "qvel" in recorded else None
@@ -238,8 +238,8 @@ def make_take(shot: Shot) -> Take:
     )
 
 
-def _second(shot: Shot, box: Corners) -> Second:
-    """Return the second design of a shot, where the scene of the first one fills the box."""
+def _second(shot: Shot, robot: Figure, box: Corners) -> Second:
+    """Return the second design of a shot beside the first `robot`, where the scene of the first one fills the box."""
     assert shot.second is not None
     take = make_take(shot.second)
     if shot.overlaid:
@@ -248,6 +248,9 @@ def _second(shot: Shot, box: Corners) -> Second:
     away, (low, high) = _aside(box), box
     letter = np.array([(low[0] + high[0]) / 2, high[1] if is_flat(*box) else (low[1] + high[1]) / 2, high[2]])
     letters = np.stack([letter, letter + away])
+    if not is_flat(*box):  # a design that has grown would hide them
+        tops = [figure.extent()[1][2] for figure in (robot, take.robot)]
+        letters[:, 2] = np.maximum(letters[:, 2], tops)
     return Second(take.robot.moved(away), take.objects.moved(away), take.scenery.moved(away), away, letters)
 
 

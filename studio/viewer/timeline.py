@@ -24,18 +24,21 @@ class TimelinePanel:
         on_inject: Callable[[Callable[[], list[float]], viser.ClientHandle | None], None],
         on_star: Callable[[int, bool, viser.ClientHandle | None], None],
         on_refusal: Callable[[str, viser.ClientHandle | None], None],
+        unrecorded: Callable[[History, int], str],
     ) -> None:
         """Make the panel.
 
         `on_choice` is called when another design is to be shown, `on_move` when the evolution has gone on to another
         one, `on_inject` when the run is to continue from the shown one, `on_star(iteration, starred, client)` when its
-        star is to come or go, and `on_refusal` with a sentence on what can't be done.
+        star is to come or go, and `on_refusal` with a sentence on what can't be done. `unrecorded(history, iteration)`
+        says in words what is seen where no episode was recorded.
         """
         self._on_choice = on_choice
         self._on_move = on_move
         self._on_inject = on_inject
         self._on_star = on_star
         self._on_refusal = on_refusal
+        self._unrecorded = unrecorded
         self._recorded: list[int] = []
         self._starred: Sequence[int] = ()
         self._marks: list[Mark] = []
@@ -102,6 +105,12 @@ class TimelinePanel:
     def has_episode(self) -> bool:
         """Tell whether an episode is to be played: the shown iteration has one, and the evolution stands still."""
         return self.shown_iteration in self._recorded and not self.evolution.playing
+
+    @property
+    def wants_episode(self) -> bool:
+        """Tell whether somebody stays at an iteration with a policy of which no episode was recorded."""
+        held = not self.follow.value and not self.evolution.playing
+        return held and self.shown_iteration > self._first and self.shown_iteration not in self._recorded
 
     def update(self, history: History, *, live: bool, starred: Sequence[int] = (), by_hand: bool = False) -> None:
         """Offer the iterations that a run has recorded, and say which one is shown, or was changed `by_hand`."""
@@ -200,9 +209,7 @@ class TimelinePanel:
             return "initial design, in its start posture" if not self.has_episode else "initial design"
         if self.has_episode:
             return f"design of iteration {shown}, playing its episode on Hw-Phy"
-        nearest = min(self._recorded, key=lambda i: abs(i - shown), default=None)
-        hint = f" (the nearest one is of iteration {nearest})" if nearest is not None else " yet"
-        return f"design of iteration {shown}, in its start posture: no episode was recorded{hint}"
+        return f"design of iteration {shown}, {wording.text(self._unrecorded(self._history, shown))}"
 
     def _mark(self, history: History) -> None:
         """Draw the marks, unless nothing has happened since they were drawn."""

@@ -26,6 +26,7 @@ class TracesPanel:
         self._gui = gui
         self._tab = tab
         self._charts: dict[int, Chart] = {}
+        self._told: tuple[object, ...] = ()
         with self._tab:
             self.note = gui.add_html("", order=0)
             self.change = gui.add_html("", order=_FIRST_OF_PHI - 5)
@@ -47,8 +48,11 @@ class TracesPanel:
     def update(self, history: History, iteration: int, phi: np.ndarray) -> None:
         """Show a run, and how far the design `phi` (d,) of an iteration has come."""
         self.note.visible = False
-        heading = f"<b>Design φ of iteration {iteration}, against the initial one</b>"
-        self.change.content = wording.paragraph(heading) + change_table(history, phi)
+        told = history.record.id, iteration, phi.tobytes()
+        if told != self._told:
+            self._told = told
+            heading = f"<b>Design φ of iteration {iteration}, against the initial one</b>"
+            self.change.content = wording.paragraph(heading) + change_table(history, phi)
         self.change.visible = True
         traces = _traces_of(history)
         for order in [order for order, c in self._charts.items() if _frame(traces.get(order)) != _frame(c.trace)]:

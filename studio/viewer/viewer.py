@@ -16,9 +16,10 @@ from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design
 from studio.new_run import StartRun
 from studio.viewer import wording
-from studio.viewer.compare import ComparePanel
+from studio.viewer.compare import ComparePanel, Others
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
+from studio.viewer.fresh import FreshEpisodes
 from studio.viewer.gallery import Album, GalleryPanel
 from studio.viewer.keys import Deed, Do, add_deeds
 from studio.viewer.legend import legend_of
@@ -53,8 +54,9 @@ class Viewer:
 
     `on_command(run_id, command, sender)`, `on_start(request)` -> run id, `on_resume(run_id)`,
     `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
-    one)` do what people ask for; they refuse by a ValueError, whose sentence is shown. `answers` say how good a policy
-    is on a changed design, `family(run_id)` is the tree in which a run stands, and `album` has pictures and stars.
+    one, servo or None, printer or None)` do what people ask for; they refuse by a ValueError, whose sentence is shown.
+    `answers` say how good a policy is on a changed design, `family(run_id)` is the tree in which a run stands, `album`
+    has pictures and stars, and `others` are all runs that a design may be compared with.
     """
 
     def __init__(
@@ -65,10 +67,11 @@ class Viewer:
         on_start: Callable[[StartRun], str],
         on_resume: Callable[[str], None],
         on_branch: Callable[[str, int, list[float]], str],
-        on_export: Callable[[str, str, Sequence[str] | None, list[float] | None], Bundle],
+        on_export: Callable[[str, str, Sequence[str] | None, list[float] | None, str | None, str | None], Bundle],
         answers: Answers,
         family: Callable[[str], Member | None],
         album: Album,
+        others: Others,
     ) -> None:
         self._host = host
         self._on_command = on_command
@@ -80,6 +83,8 @@ class Viewer:
         self._album = album
         self._tree: tuple[object, Member | None] = (None, None)
         self._turns = 0
+        self._is_told = False
+        """Whether the viewer has been told of the runs: until then nobody knows what is to be seen."""
         self._known: set[str] = set()
         self._lock = threading.RLock()
         self._histories: Mapping[str, History] = {}
@@ -109,8 +114,11 @@ class Viewer:
         left.set_width(390)
         self.traces = TracesPanel(gui, left.add_tab("Traces", viser.Icon.CHART_LINE))
         with left.add_tab("Steer", viser.Icon.ADJUSTMENTS):
-            self.steer = SteerPanel(gui, send=self._send)
-            self.design = DesignPanel(gui, send=self._send)
+            ways = gui.add_tab_group()
+            with ways.add_tab("Bounds and locks", viser.Icon.LOCK):
+                self.design = DesignPanel(gui, send=self._send)
+            with ways.add_tab("Algorithm", viser.Icon.MATH_FUNCTION):
+                self.steer = SteerPanel(gui, send=self._send)
         gallery = left.add_tab("Gallery", viser.Icon.PHOTO)
         self.gallery = GalleryPanel(gui, gallery, album, on_turn=self._turn_to)
         with left.add_tab("What if", viser.Icon.HAND_MOVE):
@@ -124,6 +132,7 @@ class Viewer:
                 on_export=self._export_changed,
                 on_refusal=self.refuse,
             )
+        self.fresh = FreshEpisodes(answers, on_news=self._refresh)
         self.player = Player(host, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
         self.timeline = TimelinePanel(
             gui,
@@ -132,11 +141,14 @@ class Viewer:
             on_inject=self._inject,
             on_star=self._star,
             on_refusal=self.refuse,
+            unrecorded=self.fresh.words,
         )
         self.playback = PlaybackPanel(gui, self.player, on_choice=self._turn, on_refusal=self.refuse)
         self.playback.panel.dock_below(left)
         with self.timeline.panel.add_tab("A/B", viser.Icon.ARROWS_LEFT_RIGHT):
-            self.compare = ComparePanel(gui, on_choice=self._turn, on_refusal=self.refuse)
+            self.compare = ComparePanel(
+                gui, others=others, fresh=self.fresh, on_choice=self._turn, on_refusal=self.refuse
+            )
         look = self.timeline.panel.add_tab("Look", viser.Icon.PALETTE)
         self.looks = LooksPanel(gui, look, on_choice=self._refresh)
         self.timeline.panel.dock_below(gui.main_panel)
@@ -149,6 +161,11 @@ class Viewer:
         """Return the name of the run on screen, or None while the start panel is there."""
         return self._selected
 
+    @property
+    def runs_on_screen(self) -> frozenset[str]:
+        """Return the names of the run on screen and of the one that it is compared with."""
+        return frozenset(run for run in (self._selected, self.compare.second_run) if run is not None)
+
     def show(
         self,
         histories: Mapping[str, History],
@@ -157,7 +174,7 @@ class Viewer:
     ) -> None:
         """Show the runs as they are now; whenever `current` changes, the run of that name is opened."""
         with self._lock:
-            self._histories, self._statuses = dict(histories), dict(statuses)
+            self._histories, self._statuses, self._is_told = dict(histories), dict(statuses), True
             self._known |= self._histories.keys()
             if current != self._suggested:
                 self._suggested = current
@@ -188,12 +205,14 @@ class Viewer:
         """Return what is seen, as it can be put back."""
         held = self._selected is not None and not self.timeline.follow.value
         shown = self._sought if self._sought is not None else self.timeline.shown_iteration if held else None
-        return View(run=self._selected, iteration=shown, ticks=ticks_of(self._remembered))
+        ticks = ticks_of(self._remembered) | self.player.camera.ticks
+        return View(run=self._selected, iteration=shown, ticks=ticks)
 
     def put_back(self, view: View) -> None:
         """Show what `view` says."""
         with self._lock:
             put_back(self._remembered, view.ticks)
+            self.player.camera.put_back(view.ticks)
             self.open(view.run, view.iteration)
 
     def select(self, run_id: str | None) -> None:
@@ -218,6 +237,7 @@ class Viewer:
     def stop(self) -> None:
         """End the viewer's threads; the server is left to whoever started it."""
         self.what_if.stop()
+        self.fresh.stop()
         self.timeline.stop()
         self.gallery.stop()
         self.player.stop()
@@ -225,7 +245,8 @@ class Viewer:
     @property
     def _remembered(self) -> dict[str, Remembered]:
         """The inputs whose values are a person's habits, by the names under which they are kept."""
-        return {**self.timeline.remembered, **self.looks.remembered, **self.playback.remembered}
+        panels = self.timeline, self.looks, self.playback, self.what_if
+        return {name: handle for panel in panels for name, handle in panel.remembered.items()}
 
     # --- what people ask for ---
 
@@ -290,11 +311,11 @@ class Viewer:
             self.refuse(str(error), client)
         self._refresh()
 
-    def _export(self, which: str, formats: Sequence[str]) -> Bundle:
+    def _export(self, which: str, formats: Sequence[str], servo: str | None, printer: str | None) -> Bundle:
         run_id = self._selected
         if run_id is None:
             raise ValueError("there is no run to export from: start or choose one")
-        return self._on_export(run_id, which, formats, None)
+        return self._on_export(run_id, which, formats, None, servo, printer)
 
     def _branch(self, iteration: int, phi: list[float], client: viser.ClientHandle | None) -> None:
         run_id = self._selected
@@ -310,7 +331,7 @@ class Viewer:
         if run_id is None:
             return
         try:
-            bundle = self._on_export(run_id, str(iteration), None, phi)
+            bundle = self._on_export(run_id, str(iteration), None, phi, None, None)
         except (ValueError, OSError) as error:
             self.refuse(str(error), client)
         else:
@@ -342,7 +363,7 @@ class Viewer:
             Deed("Branch from the shown iteration", self._at_a_run(self._open_branch), ("B",), icon.GIT_BRANCH),
             Deed("Pause or resume the run", self._at_a_run(self.run.toggle), ("P",), icon.PLAYER_PAUSE),
             Deed("New run", lambda _: self.open(None), ("N",), icon.PLUS),
-            Deed("Show the whole scene", lambda _: self.player.look_at_all(), ("R",), icon.FOCUS_CENTERED),
+            Deed("Show the whole scene", lambda _: self.player.camera.look_at_all(), ("R",), icon.FOCUS_CENTERED),
             *(
                 Deed(f"{word} the run", self._at_a_run(lambda client, word=word: self.run.ask(word, client)))
                 for word in MORE
@@ -387,6 +408,7 @@ class Viewer:
             self.looks.update(history)
             self.gallery.update(history)
             shown, phi = self._shown_design(history)
+            self._want_episodes(history, shown)
             self.playback.update(history, shown)
             self.compare.update(self._histories, history, shown)
             self.run.offer_branch(shown)
@@ -431,10 +453,12 @@ class Viewer:
         self.compare.clear()
         self.looks.clear()
         self.gallery.clear()
+        self.fresh.want([])
         if run_id is None:
             self.traces.clear("no data yet: press Start")
             self.timeline.clear("what a run begins with, in its start posture")
-            if preview := self.start.preview:
+            preview = self.start.preview
+            if preview and self._is_told:
                 self.player.show(preview)
             return
         status, message = self._statuses.get(run_id, ("starting", "starting…"))
@@ -455,6 +479,11 @@ class Viewer:
         except ValueError:  # an iteration that a resume has just voided
             return history.design("latest")
 
+    def _want_episodes(self, history: History, shown: int) -> None:
+        """Ask for an episode of each design on screen of which none was recorded."""
+        first = (history, shown) if self.timeline.wants_episode and not self.what_if.open else None
+        self.fresh.want([one for one in (first, self.compare.wants_episode) if one is not None])
+
     def _shot(self, history: History, shown: int, phi: np.ndarray) -> Shot:
         recorded = (history.folder, shown) if self.timeline.has_episode else None
         before, name = (tuple(history.initial_phi.tolist()), "initial")
@@ -463,6 +492,7 @@ class Viewer:
             before, name = tuple(phi.tolist()), "recorded"
         in_front = self.what_if.phi if self.what_if.open else phi
         which = self.playback.which(history, shown) if recorded and not self.what_if.open else None
+        fresh = self.fresh.of(history, shown) if self.timeline.wants_episode else None
         second, overlaid = self.compare.second_shot(which, printed=self.looks.printed.value)
         return Shot(
             task=history.record.task,
@@ -471,7 +501,7 @@ class Viewer:
             episode=None if self.what_if.open else recorded,
             which=which,
             forces=self.playback.forces.value,
-            played=self.what_if.episode if self.what_if.open else None,
+            played=self.what_if.episode if self.what_if.open else fresh,
             ghost=before if self.looks.ghost.value and (changed or shown > history.begins_at or recorded) else None,
             ghost_name=name,
             printed=self.looks.printed.value,

@@ -18,7 +18,8 @@ from studio.viewer.curves import Scale, curves_of, legend_of_curves, scale_of
 from studio.viewer.newest import Newest
 from studio.viewer.outcome import outcome_table
 from studio.viewer.parts import Unit, quantities_of, unit_of
-from studio.what_if import SweepPoint, WhatIf, Wish
+from studio.viewer.view import Remembered
+from studio.what_if import POLICIES, SweepPoint, WhatIf, Wish
 
 EPISODES, SWEEP_EPISODES = 128, 32
 """Numbers of episodes of an evaluation, and at each value of a sweep."""
@@ -106,6 +107,10 @@ class WhatIfPanel:
             hint="Move the design by hand and see at once what its policy makes of it; the run goes on as it is",
         )  # fmt: skip
         self.result = gui.add_html("", visible=False)
+        self.policy = gui.add_dropdown(
+            "policy", POLICIES, visible=False,
+            hint="sampled: its actions are drawn, as they are while it learns; deterministic: each is its mean",
+        )  # fmt: skip
         self.reset = gui.add_button(
             "Reset", icon=viser.Icon.ARROW_BACK_UP, color="gray", hint="Back to the recorded design"
         )
@@ -125,6 +130,7 @@ class WhatIfPanel:
         )
         self.export = gui.add_button("Export this", icon=viser.Icon.DOWNLOAD, hint="This φ with the policy, as a zip")
         self.leave = gui.add_button("Close", icon=viser.Icon.X, color="gray", hint="Back to what was recorded")
+        self.policy.on_update(lambda event: self._choose_policy(event.client) if event.client else None)
         self.begin.on_click(lambda _: self.start())
         self.leave.on_click(lambda _: self.close())
         self.reset.on_click(lambda _: self._set(self._recorded))
@@ -138,6 +144,11 @@ class WhatIfPanel:
         self._asking, self._sweeping = Newest("what-if", _REST), Newest("what-if-sweep")
         self._marking = Newest("what-if-marks", _REST)
         self.clear()
+
+    @property
+    def remembered(self) -> dict[str, Remembered]:
+        """The inputs that a browser finds again as it left them."""
+        return {"policy": self.policy}
 
     @property
     def phi(self) -> np.ndarray:
@@ -235,6 +246,16 @@ class WhatIfPanel:
         slider.on_update(lambda event: self._drag(i, event.client) if event.client else None)
         return _Row(p, unit, slider, self._gui.add_html("", visible=False))
 
+    def _choose_policy(self, client: viser.ClientHandle | None) -> None:
+        """Try the policy in another way; what was measured of it before says nothing of that."""
+        if self.policy.value not in POLICIES:
+            self._on_refusal(f"unknown policy; choose from: {', '.join(POLICIES)}", client)
+            self.policy.value = POLICIES[0]
+        if self.open:
+            self._before = None
+            self._forget_sweep()
+            self._try(self._phi)
+
     def _drag(self, i: int, client: viser.ClientHandle | None) -> None:
         row = self._rows[i]
         value, (lo, hi) = row.slider.value, (row.slider.min, row.slider.max)
@@ -281,7 +302,7 @@ class WhatIfPanel:
                 self.episode = episode
             self._on_change()
 
-        wish = Wish(design=str(iteration), episodes=EPISODES)
+        wish = Wish(design=str(iteration), episodes=EPISODES, policy=self.policy.value)
         try:
             changed = msgspec.structs.replace(wish, phi=phi.tolist())
             found = self._answers.evaluate(history, changed, cancellation, play)
@@ -315,7 +336,9 @@ class WhatIfPanel:
     def _sweep(
         self, history: History, iteration: int, phi: np.ndarray, points: list[SweepPoint], cancellation: Cancellation
     ) -> None:
-        wish = Wish(design=str(iteration), phi=phi.tolist(), episodes=SWEEP_EPISODES)
+        wish = Wish(
+            design=str(iteration), phi=phi.tolist(), episodes=SWEEP_EPISODES, policy=self.policy.value
+        )  # fmt: skip
         try:
             for point in self._answers.sweep(history, wish, cancellation):
                 cancellation.check()
@@ -343,7 +366,7 @@ class WhatIfPanel:
         scale = scale_of(self._swept[1])
         self.legend.visible = scale is not None
         if scale is not None:
-            self.legend.content = legend_of_curves(scale, SWEEP_EPISODES)
+            self.legend.content = legend_of_curves(scale, SWEEP_EPISODES, self.policy.value)
         for i in range(len(self._rows)):
             self._show_curve(i, scale)
 
@@ -365,7 +388,8 @@ class WhatIfPanel:
     # --- what is shown ---
 
     def _show_open(self) -> None:
-        for handle in (self.reset, self.sweep, self.sliders, self.branch, self.export, self.leave, self.result):
+        shown = self.result, self.policy, self.reset, self.sweep, self.sliders, self.branch, self.export, self.leave
+        for handle in shown:
             handle.visible = self.open
         self.begin.visible = not self.open
         if not self.open:
@@ -377,10 +401,13 @@ class WhatIfPanel:
             self._asking.cancel()
             self.open, self.episode, self.found, self._before = False, None, None, None
         self._sweeping.cancel()
-        self._swept = np.zeros(0), []
-        for row in self._rows:
-            row.curves.visible = False
+        self._forget_sweep()
         self._show_open()
+
+    def _forget_sweep(self) -> None:
+        self._swept = np.zeros(0), []
+        for handle in (self.legend, *(row.curves for row in self._rows)):
+            handle.visible = False
 
     def _show_result(self, trouble: str = "") -> None:
         if not self.open:

@@ -3,25 +3,15 @@
 Starts a real server and a real trainer, sends alternating values of alpha through the API, and reads the log.
 """
 
-import contextlib
-import json
-import socket
-import subprocess
-import sys
-import tempfile
 import time
-import urllib.request
-from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import tyro
+from visitors import post, served
 
 from morph_core.history import History
 from morph_core.run_folder import RunFolder
-
-TOKEN = "bench-token-of-more-than-enough-length"
 
 
 @dataclass(frozen=True)
@@ -32,32 +22,6 @@ class Latency:
     task: str = "reacher"
     before_start: float = 4.0
     """Seconds between the server's start and the run's: what a person takes to press Start."""
-
-
-def post(base: str, path: str, body: dict[str, object]) -> dict[str, object]:
-    """POST JSON to the API and return its answer."""
-    headers = {"Authorization": f"Bearer {TOKEN}", "Content-Type": "application/json"}
-    request = urllib.request.Request(base + path, json.dumps(body).encode(), headers)
-    with urllib.request.urlopen(request, timeout=10) as response:
-        return json.load(response)
-
-
-@contextlib.contextmanager
-def served(kept: Path | None = None) -> Iterator[tuple[int, Path]]:
-    """Run a real server; give its port and its folder of runs: `kept`, or one that is gone afterwards."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    with contextlib.nullcontext(str(kept)) if kept else tempfile.TemporaryDirectory() as runs:
-        command = [sys.executable, "-m", "studio.cli", "serve", "--no-browser", "--port", str(port), "--runs", runs]
-        server = subprocess.Popen([*command, "--token", TOKEN], stdout=subprocess.PIPE, text=True)
-        try:
-            assert server.stdout is not None
-            server.stdout.readline()
-            yield port, Path(runs)
-        finally:
-            server.terminate()
-            server.wait()
 
 
 def main(options: Latency) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import tyro
-from latency import TOKEN, served
+from visitors import TOKEN, served
 
 from morph_core.catalogue import make_method, make_task
 from morph_core.config import recorded

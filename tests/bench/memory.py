@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import tyro
-from latency import post, served
+from visitors import post, served
 from watching import watch
 
 from morph_core.history import History

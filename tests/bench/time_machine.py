@@ -11,19 +11,18 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import psutil
 import tyro
-from latency import TOKEN, post, served
-from watching import CAMERA
-from websockets.sync.client import connect
-from what_if import Browser, changes_robot
+from visitors import Browser, Share, changes_robot, post, process_of, seconds_of, served, visit
 
 from morph_core.catalogue import make_method, make_task
 from morph_core.config import recorded
 from morph_core.protocol import FORMAT, Evaluation, Progress, RunRecord, StateChanged
 from morph_core.run_folder import EventLog, RunFolder, create_run, write_episode
+
+LONGEST_GAP = 0.5
+"""Seconds without a pose after which an episode stands at its end before it begins again."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class TimeMachine:
     steps: int = 80
     """Control steps of each episode."""
     scrubs: int = 20
-    seconds: float = 10.0
+    seconds: float = 20.0
     """Seconds for which the episode plays, each time."""
 
 
@@ -89,21 +88,6 @@ def _episode(options: TimeMachine, phi: np.ndarray, rng: np.random.Generator) ->
     }  # fmt: skip
 
 
-class Share:
-    """The share of one core that a process takes while this stands open."""
-
-    def __init__(self, process: psutil.Process) -> None:
-        self._process = process
-
-    def __enter__(self) -> "Share":
-        self._began, self._spent = time.monotonic(), sum(self._process.cpu_times()[:2])
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        spent = sum(self._process.cpu_times()[:2]) - self._spent
-        self.percent = 100 * spent / (time.monotonic() - self._began)
-
-
 def main(options: TimeMachine) -> None:
     with tempfile.TemporaryDirectory() as folder:
         runs = Path(folder)
@@ -115,16 +99,9 @@ def main(options: TimeMachine) -> None:
 
 def measure(port: int, options: TimeMachine, long: str) -> None:
     base = f"http://127.0.0.1:{port}"
-    (server,) = [p for p in psutil.process_iter(["cmdline"]) if _serves(p, port)]
-    with connect(
-        f"ws://127.0.0.1:{port}/viewer",
-        subprotocols=["viser-v1.1.1"],  # pyright: ignore[reportArgumentType]
-        origin=base,  # pyright: ignore[reportArgumentType]
-        additional_headers={"Authorization": f"Bearer {TOKEN}"},
-        max_size=None,
-    ) as socket:
-        socket.send(msgspec.msgpack.encode(CAMERA))
-        browser = Browser(socket)
+    server = process_of(port)
+    with visit(port) as connection:
+        browser = Browser(connection)
         browser.until(lambda _: "iteration" in browser.labels)
         browser.until(changes_robot)
         time.sleep(3)
@@ -144,10 +121,10 @@ def measure(port: int, options: TimeMachine, long: str) -> None:
             for _ in range(options.scrubs):
                 goal = int(rng.integers(1, options.iterations // options.interval)) * options.interval + (step == 1)
                 browser.settle()
-                spent = sum(server.cpu_times()[:2])
+                spent = seconds_of(server)
                 browser.send(slider, goal)
                 waits.append(browser.until(changes_robot))
-                costs.append(sum(server.cpu_times()[:2]) - spent)
+                costs.append(seconds_of(server) - spent)
             print(
                 f"scrub to an iteration {what}: moved body after {1e3 * np.median(waits):.0f} ms (median), "
                 f"{1e3 * max(waits):.0f} ms (longest); {1e3 * np.median(costs):.0f} ms of processor till then"
@@ -161,18 +138,17 @@ def measure(port: int, options: TimeMachine, long: str) -> None:
 
 
 def _play(browser: Browser, server: psutil.Process, options: TimeMachine, beside: str) -> None:
+    """Let the episode play; the pauses before it begins again don't count, but what the server does in them does."""
     browser.settle()
-    poses, end = 0, time.monotonic() + options.seconds
+    came = [time.monotonic()]
     with Share(server) as share:
-        while time.monotonic() < end:
-            browser.until(lambda m: str(m.get("name", "")).startswith("/robot/"))
-            poses += 1
-    print(f"playing with {beside}: {share.percent:.1f} % of a core, {poses / options.seconds:.0f} poses/s arrive")
-
-
-def _serves(process: psutil.Process, port: int) -> bool:
-    words = process.info["cmdline"] or []
-    return "serve" in words and str(port) in words
+        while came[-1] < came[0] + options.seconds:
+            if any(str(message.get("name", "")).startswith("/robot/") for message in browser.receive()):
+                came.append(time.monotonic())
+    gaps = np.diff(came)
+    moving = gaps[gaps < LONGEST_GAP]
+    percent = share.percent * gaps.sum() / moving.sum()
+    print(f"playing with {beside}: {1 / moving.mean():.0f} Hz, {percent:.1f} % of a core")
 
 
 if __name__ == "__main__":

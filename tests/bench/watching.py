@@ -10,19 +10,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import tyro
-from latency import TOKEN, post, served
-from websockets.sync.client import connect
+from visitors import post, served, visit
 
 from morph_core.history import History
 from morph_core.run_folder import RunFolder
-
-CAMERA = {
-    "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [0, 0, 5], "fov": 1.0, "near": 0.01, "far": 100.0,
-    "image_height": 600, "image_width": 800, "look_at": [0, 0, 0], "up_direction": [0, 0, 1],
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -38,15 +31,7 @@ class Watching:
 
 def watch(port: int, ended: threading.Event, taken: list[int]) -> None:
     """Read everything the viewer sends until the run has ended."""
-    origin = f"http://127.0.0.1:{port}"
-    with connect(
-        f"ws://127.0.0.1:{port}/viewer",
-        subprotocols=["viser-v1.1.1"],  # pyright: ignore[reportArgumentType]
-        origin=origin,  # pyright: ignore[reportArgumentType]
-        additional_headers={"Authorization": f"Bearer {TOKEN}"},
-        max_size=None,
-    ) as viewer:
-        viewer.send(msgspec.msgpack.encode(CAMERA))
+    with visit(port) as viewer:
         while not ended.is_set():
             try:
                 taken.append(len(viewer.recv(timeout=0.5)))

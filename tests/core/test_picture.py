@@ -5,8 +5,10 @@ import io
 import numpy as np
 from PIL import Image
 
-from morph_core.picture import HEIGHT, WIDTH, Camera, draw, picture, png
+from morph_core.picture import Camera, draw, png
 
+WIDTH, HEIGHT = 720, 540
+FROM_THE_SIDE = np.array([0.75, -0.95, 0.5])
 FAN = np.linspace(0, 2 * np.pi, 400)
 
 
@@ -19,7 +21,9 @@ def disc(height: float) -> np.ndarray:
 
 def painted(*surfaces: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """Return the picture (height, width, 4)."""
-    return np.array(Image.open(io.BytesIO(picture(surfaces))))
+    points = np.concatenate([triangles.reshape(-1, 3) for triangles, _ in surfaces])
+    image = png(draw(surfaces, Camera.framing(points, FROM_THE_SIDE, WIDTH, HEIGHT)))
+    return np.array(Image.open(io.BytesIO(image)))
 
 
 def test_slender_triangles_leave_no_gaps() -> None:

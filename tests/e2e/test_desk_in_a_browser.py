@@ -1,27 +1,16 @@
-"""A browser has a view of its own, is worked by keys, and comes back to where it was."""
+"""A browser has a view of its own, is worked by keys, and shows a newcomer round."""
 
 import re
-import shutil
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 from served import Server
 from test_studio import viewer_of
 
-from tests.studies import Made, write_study
-
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 
 OLD, NEW = "reacher-direct-s0", "reacher-direct-s1"
-
-
-@pytest.fixture
-def runs(server: Server) -> Path:
-    """Fill the folder of the server with two runs of ten iterations."""
-    write_study(server.runs, [Made("direct", "direct")], [0, 1], iterations=10)
-    return server.runs
 
 
 @pytest.fixture
@@ -86,37 +75,6 @@ def test_keys_scrub_follow_help_and_begin(server: Server, page: Page) -> None:
     expect(page.get_by_role("dialog", name="Keys")).to_be_hidden()
     page.keyboard.press("n")
     expect(viewer_of(page).get_by_role("button", name="Start", exact=True)).to_be_visible(timeout=20_000)
-
-
-@pytest.mark.usefixtures("runs")
-def test_a_page_comes_back_to_its_place_when_the_server_does(server: Server, page: Page) -> None:
-    open_page(page, server.url)
-    choose(page, OLD)
-    page.keyboard.press("ArrowLeft")
-    shows(page, OLD, 9)
-    server.kill()
-    banner = page.locator("#banner")
-    expect(banner).to_contain_text("does not answer", timeout=15_000)
-    server.start()
-    expect(banner).to_be_hidden(timeout=30_000)
-    expect(page.locator("#loading")).to_be_hidden(timeout=60_000)
-    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached(timeout=30_000)
-    shows(page, OLD, 9)
-
-
-def test_a_run_deleted_elsewhere_is_said_and_comes_back(server: Server, runs: Path, page: Page, tmp_path: Path) -> None:
-    open_page(page, server.url)
-    choose(page, NEW)
-    page.keyboard.press("ArrowLeft")
-    shows(page, NEW, 9)
-    shutil.move(runs / NEW, tmp_path / "elsewhere")
-    banner = page.locator("#banner")
-    expect(banner).to_contain_text(f"{NEW} is no longer in the folder of runs", timeout=15_000)
-    expect(viewer_of(page).get_by_text("deleted or moved").first).to_be_attached(timeout=20_000)
-    shutil.move(tmp_path / "elsewhere", runs / NEW)
-    expect(banner).to_be_hidden(timeout=15_000)
-    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached(timeout=20_000)
-    shows(page, NEW, 9)
 
 
 @pytest.mark.usefixtures("runs")

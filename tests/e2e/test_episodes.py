@@ -12,6 +12,7 @@ from morph_core.protocol import Evaluation, StateChanged
 from morph_core.rollout import collect
 from morph_core.run_folder import EventLog, RunFolder
 from morph_core.run_folder import write_episode as write
+from studio.viewer.take import FRAMES_PER_SECOND
 from tests.studies import Made, write_study
 
 pytestmark = pytest.mark.browser
@@ -73,7 +74,7 @@ def number_beside(frame: Frame, label: str) -> Locator:
 
 
 def is_at(frame: Frame, seconds: float) -> bool:
-    return abs(float(number_beside(frame, "time [s]").input_value()) - seconds) < 0.011
+    return abs(float(number_beside(frame, "time [s]").input_value()) - seconds) < 0.006
 
 
 def test_the_best_and_the_worst_episode_are_watched_frame_by_frame(
@@ -93,9 +94,9 @@ def test_the_best_and_the_worst_episode_are_watched_frame_by_frame(
     entry.press("Enter")
     pause(entry)
     entry.blur()  # keys that are typed into an input are no commands
-    for key, now in ((".", 31), (".", 32), (",", 31)):
+    for key, now in ((".", 61), (".", 62), (",", 61)):
         frame.locator("body").press(key)
-        wait_for(f"frame {now}", lambda now=now: is_at(frame, now / 30), 10)
+        wait_for(f"frame {now}", lambda now=now: is_at(frame, now / FRAMES_PER_SECOND), 10)
 
 
 def test_two_designs_stand_side_by_side_and_over_each_other(server: Server, runs: list[RunFolder], page: Page) -> None:
@@ -103,7 +104,7 @@ def test_two_designs_stand_side_by_side_and_over_each_other(server: Server, runs
     turn_to(frame, "A/B")
     choose(frame, "show B", "side by side")
     wait_for("B", lambda: any(name.startswith("/second_robot/") for name in nodes_of(frame)), 20)
-    expect(frame.get_by_text("B stands in its start posture").first).to_be_attached()
+    expect(frame.get_by_text("B, iteration 0: in its start posture").first).to_be_attached()
     choose(frame, "B: run", runs[1].id)
     entry = number_beside(frame, "B: iteration")
     entry.fill("10")

@@ -1,7 +1,6 @@
 """hand.html in a real browser without a network: it runs as Python runs, can be steered, and says what is missing."""
 
 import base64
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -119,8 +118,6 @@ def test_the_hand_of_another_phi_is_the_one_that_is_exported(
         solid = other.geom_contype + other.geom_conaffinity > 0
         np.testing.assert_allclose(one.geom_size[solid], other.geom_size[solid], atol=1e-9)
         np.testing.assert_allclose(one.geom_pos[solid], other.geom_pos[solid], atol=1e-9)
-        links = [i for i in range(one.ngeom) if re.fullmatch(r"finger_\d_\w+_visual", one.geom(i).name)]
-        np.testing.assert_allclose(one.geom_aabb[links], other.geom_aabb[links], atol=5e-4)  # m; only drawn
         assert built["middle"] == pytest.approx(exported["middle"], abs=1e-9)
 
 

@@ -130,7 +130,7 @@ def test_a_person_starts_watches_steers_and_downloads_a_run(server: Server, page
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     frame = open_studio(page, server)
-    assert robot_of(frame)
+    wait_for("the initial design", lambda: robot_of(frame), 20)
 
     press(frame, "Start")
     wait_for("a run folder", lambda: any(server.runs.glob("*/run.json")), 10)
@@ -152,14 +152,16 @@ def test_a_person_starts_watches_steers_and_downloads_a_run(server: Server, page
     at_rest = beat_of(run).iteration
 
     turn_to(frame, "Steer")
-    algorithm = frame.locator("form").filter(has_text="Algorithm")
-    enter(algorithm, "α", 2.5)
-    press(algorithm, "Apply")
     design = frame.locator("form").filter(has_text="link_1")
+    design.get_by_text(re.compile("^link_1: ")).click(force=True)
     enter(design, "bounds [m]", 0.5, 2.9)
     press(design, "Apply")
+    turn_to(frame, "Algorithm")
+    algorithm = frame.locator("form").filter(has_text="projection")
+    enter(algorithm, "α", 2.5)
+    press(algorithm, "Apply")
     wait_for("both answers", lambda: len(steered(run)) == 2, 30)
-    assert [answer.command for answer in steered(run)] == [SetAlpha(2.5), SetBound("link_1", 0.5, 2.9)]
+    assert [answer.command for answer in steered(run)] == [SetBound("link_1", 0.5, 2.9), SetAlpha(2.5)]
     assert all(answer.accepted and answer.iteration == at_rest for answer in steered(run))
     in_force = f"in force from iteration {at_rest + 1}"
     expect(frame.get_by_text(f"α set to 2.5, {in_force}").first).to_be_attached()

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -24,7 +25,19 @@ from fastapi import FastAPI
 from morph_core.catalogue import make_method, make_task, read_method
 from morph_core.config import recorded
 from morph_core.history import History
-from morph_core.protocol import FORMAT, AnyCommand, Evaluation, Progress, RunRecord, StateChanged, Status
+from morph_core.protocol import (
+    FORMAT,
+    AnyCommand,
+    AnyEvent,
+    Evaluation,
+    InjectDesign,
+    Lock,
+    Progress,
+    RunRecord,
+    SetAlpha,
+    StateChanged,
+    Status,
+)
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
 from morph_core.what_if import Measured
 from studio.album import Album
@@ -35,7 +48,7 @@ from studio.cancellation import Cancellation
 from studio.export.bundle import Bundle
 from studio.export.check import Check
 from studio.export.design_file import Design, Value
-from studio.new_run import StartRun
+from studio.new_run import StartRun, prepare_run
 from studio.runs import Runs
 from studio.settings import Settings
 from studio.viewer import Viewer
@@ -129,6 +142,20 @@ def make_run(runs: Path, name: str = NAME, ended: Status | None = "stopped") -> 
     return folder
 
 
+def append(folder: RunFolder, *events: AnyEvent) -> None:
+    """Write events to the log of a run."""
+    log = EventLog(folder)
+    for event in events:
+        log.append(event)
+    log.close()
+
+
+def progress(iteration: int, **values: object) -> Progress:
+    """Return what an iteration of the reacher records."""
+    known = {"env_steps": 100, "phi": [2.0] * 5, "episode_return": -1.0, "success": 0.0, "policy_std": 0.5}
+    return Progress(iteration=iteration, **(known | values))  # pyright: ignore[reportArgumentType]
+
+
 def make_hand_run(runs: Path, task: str, name: str = "20260101-000000-hand-direct-s0") -> RunFolder:
     """Return a run folder of a hand: one iteration whose first finger grew and moved, and its evaluation."""
     made = make_task(task)
@@ -203,8 +230,7 @@ class Oracle:
         self.asked.append(wish)
         if self.refusal:
             raise ValueError(self.refusal)
-        phi = wish.phi
-        assert isinstance(phi, list)
+        phi = wish.phi if isinstance(wish.phi, list) else history.design(wish.design)[1].tolist()
         if on_played:
             arrays = io.BytesIO()
             np.savez(arrays, qpos=np.zeros((4, len(phi))), phi=np.array(phi))
@@ -263,6 +289,20 @@ class Stars:
 
 
 @dataclass
+class Neighbours:
+    """The runs that a design may be compared with; those of `names` are called something by people."""
+
+    histories: dict[str, History] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
+
+    def of_task(self, task: str) -> dict[str, str]:
+        return {name: self.names.get(name, "") for name, h in self.histories.items() if h.record.task == task}
+
+    def get(self, run_id: str) -> History:
+        return self.histories[run_id]
+
+
+@dataclass
 class Page:
     """A viewer, and what it has asked for."""
 
@@ -272,11 +312,14 @@ class Page:
     started: list[StartRun] = field(default_factory=list)
     resumed: list[str] = field(default_factory=list)
     exported: list[tuple[str, str, list[str]]] = field(default_factory=list)
+    servos: list[str] = field(default_factory=list)
+    printers: list[str | None] = field(default_factory=list)
     changed: list[list[float]] = field(default_factory=list)
     """Designs changed by hand that were exported."""
     branched: list[tuple[str, int, list[float]]] = field(default_factory=list)
     answers: Oracle = field(default_factory=Oracle)
     album: Stars = field(default_factory=Stars)
+    others: Neighbours = field(default_factory=Neighbours)
     refusal: str | None = None
     family: Member | None = None
 
@@ -306,8 +349,17 @@ def page() -> Iterator[Page]:
         heed(lambda: page.started.append(request))
         return NAME
 
-    def export(run_id: str, which: str, formats: Sequence[str] | None, phi: list[float] | None) -> Bundle:
+    def export(
+        run_id: str,
+        which: str,
+        formats: Sequence[str] | None,
+        phi: list[float] | None,
+        servo: str | None,
+        printer: str | None,
+    ) -> Bundle:
         heed(lambda: page.exported.append((run_id, which, list(formats or []))))
+        page.servos += [servo] if servo else []
+        page.printers.append(printer)
         page.changed += [phi] if phi is not None else []
         return Bundle("design.zip", {"robot.xml": b"xml", "robot.urdf": b"urdf"}, [Check("masses", 0.0, 0.0)], b"zip")
 
@@ -315,7 +367,7 @@ def page() -> Iterator[Page]:
         heed(lambda: page.branched.append((run_id, iteration, phi)))
         return NAME
 
-    answers, album = Oracle(), Stars()
+    answers, album, others = Oracle(), Stars(), Neighbours()
     viewer = Viewer(
         server,
         on_command=lambda run_id, command, _: heed(lambda: page.commands.append((run_id, command))),
@@ -326,8 +378,9 @@ def page() -> Iterator[Page]:
         answers=answers,
         family=lambda _: page.family,
         album=album,
+        others=others,
     )
-    page = Page(server, viewer, answers=answers, album=album)
+    page = Page(server, viewer, answers=answers, album=album, others=others)
     yield page
     viewer.stop()
     server.stop()
@@ -396,7 +449,9 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     listener = socket.create_server(("127.0.0.1", 0))
     port = listener.getsockname()[1]
     app = create_app(settings, runs=Runs(settings.runs, spawn), desks=desks)
-    config = uvicorn.Config(app, log_level="error", ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1)
+    config = uvicorn.Config(
+        app, log_level="error", ws_max_size=MAX_MESSAGE, timeout_graceful_shutdown=1, proxy_headers=False
+    )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
     thread.start()
@@ -445,3 +500,35 @@ def add_checkpoint(folder: RunFolder, iteration: int) -> None:
     state = start(task, read_method(record), 0)
     state.iteration = iteration
     save_checkpoint(folder, state, 0.0)
+
+
+TINY = {
+    "trajectories": 4,
+    "ppo": {"epochs": 1, "minibatches": 1},
+    "proxy.prefit": 5,
+    "search.generations": 2,
+    "hidden": 8,
+    "evaluation": {"interval": 2, "episodes": 2},
+}
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A finished run of four iterations with two checkpoints, steered before the first; nobody changes it."""
+    from morph_core.train import Trainer  # torch: only where it is needed
+
+    wish = StartRun(task="reacher", iterations=4, seed=5, settings=TINY, task_options={"tunnel": "paper"})
+    folder = prepare_run(tmp_path_factory.mktemp("runs"), wish)
+    folder.send(SetAlpha(2.5), "a test")
+    folder.send(Lock("link_5", 2.75))
+    folder.send(InjectDesign([9.0] * 5))
+    Trainer(folder).run()
+    (folder.path / "heartbeat.json").unlink()  # it says that this process is the trainer, which others would end
+    return folder
+
+
+@pytest.fixture
+def parent(trained: RunFolder, tmp_path: Path) -> RunFolder:
+    """A copy of that run in a folder of its own."""
+    shutil.copytree(trained.path, tmp_path / "here" / trained.id)
+    return RunFolder(tmp_path / "here" / trained.id)

@@ -370,6 +370,8 @@ def test_an_export_can_be_of_one_format(served: Served, ended: RunFolder) -> Non
     answer = served.client.get(f"/api/runs/{ended.id}/designs/0/export", params={"formats": "mjcf"})
     assert not any(name.endswith(".urdf") for name in zipfile.ZipFile(io.BytesIO(answer.content)).namelist())
     refused(served.client.get(f"/api/runs/{ended.id}/designs/0/export", params={"formats": "dwg"}))
+    answer = served.client.get(f"/api/runs/{ended.id}/designs/0/export", params={"printer": "prusa"})
+    assert "choose from: bambu_a1_mini" in refused(answer)
 
 
 @pytest.mark.parametrize("which", ["4", "worst", "-1", "9" * 50, "²"])

@@ -14,52 +14,19 @@ from typing import Any
 import msgspec
 import psutil
 import pytest
-from conftest import Page, Served, design_of, make_run
-from hypothesis import given
-from hypothesis import strategies as st
+from conftest import TINY, Served, make_run
 
 from morph_core.catalogue import SEARCHES, make_method, make_task
 from morph_core.config import flattened, paths_of
 from morph_core.history import History
 from morph_core.origin import origin_at
-from morph_core.protocol import AnyCommand, InjectDesign, Lock, Parameter, Parent, RunRecord, SetAlpha, StateChanged
-from morph_core.run_folder import EventLog, RunFolder
-from morph_core.train import Trainer
-from studio.branches import Member, children_of, place_in_words, tree_of, trees
+from morph_core.protocol import AnyCommand, Parameter, Parent, RunRecord
+from morph_core.run_folder import RunFolder
 from studio.cli import run
-from studio.log import log_of
 from studio.new_run import Branch, StartRun, method_at, prepare_run, resettled
 from studio.trainers import spawn_trainer
 
-TINY = {
-    "trajectories": 4,
-    "ppo": {"epochs": 1, "minibatches": 1},
-    "proxy.prefit": 5,
-    "search.generations": 2,
-    "hidden": 8,
-    "evaluation": {"interval": 2, "episodes": 2},
-}
 TASK = make_task("reacher")
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    """A finished run of four iterations with two checkpoints, steered before the first; nobody changes it."""
-    wish = StartRun(task="reacher", iterations=4, seed=5, settings=TINY, task_options={"tunnel": "paper"})
-    folder = prepare_run(tmp_path_factory.mktemp("runs"), wish)
-    folder.send(SetAlpha(2.5), "a test")
-    folder.send(Lock("link_5", 2.75))
-    folder.send(InjectDesign([9.0] * 5))
-    Trainer(folder).run()
-    (folder.path / "heartbeat.json").unlink()  # it says that this process is the trainer, which others would end
-    return folder
-
-
-@pytest.fixture
-def parent(trained: RunFolder, tmp_path: Path) -> RunFolder:
-    """A copy of that run in a folder of its own."""
-    shutil.copytree(trained.path, tmp_path / "here" / trained.id)
-    return RunFolder(tmp_path / "here" / trained.id)
 
 
 def branched(parent: RunFolder, iteration: int | None = None, **wishes: Any) -> RunRecord:
@@ -221,73 +188,6 @@ def test_a_task_or_a_branch_is_needed(runs_folder: Path) -> None:
         prepare_run(runs_folder, StartRun())
 
 
-# --- trees ------------------------------------------------------------------------------------------------------------
-
-NAMES = st.sampled_from("abcdefgh")
-
-
-@given(st.dictionaries(NAMES, st.none() | st.builds(Parent, NAMES, st.integers(0, 9))))
-def test_every_run_stands_in_the_trees_exactly_once(parents: dict[str, Parent | None]) -> None:
-    def members(one: Member) -> list[Member]:
-        return [one, *(below for child in one.children for below in members(child))]
-
-    found = [member for root in trees(parents) for member in members(root)]
-    assert sorted(m.run for m in found if m.here) == sorted(parents)
-    assert {m.run for m in found if not m.here} == {p.run for p in parents.values() if p and p.run not in parents}
-    for member in found:
-        assert all(child.parent and child.parent.run == member.run for child in member.children)
-
-
-def test_a_tree_grows_from_the_oldest_ancestor_with_children_where_they_begin() -> None:
-    parents = {
-        "late": Parent("root", 9, 8), "early": Parent("root", 2, 2), "below": Parent("late", 9), "alone": None,
-        "root": None, "orphan": Parent("gone", 3, 3),
-    }  # fmt: skip
-    root = tree_of("below", parents)
-    assert root
-    assert (root.run, [child.run for child in root.children]) == ("root", ["early", "late"])
-    assert tree_of("alone", parents) is None
-    lost = tree_of("orphan", parents)
-    assert lost
-    assert (lost.run, lost.here, place_in_words(lost)) == ("gone", False, "not in this folder")
-    assert [place_in_words(child) for child in root.children] == ["from iteration 2", "from iteration 8, asked for 9"]
-    assert place_in_words(root.children[1].children[0]) == "the design of iteration 9"
-    assert children_of("root", parents) == ["early", "late"]
-
-
-def test_runs_that_name_each_other_as_parents_stand_as_roots() -> None:
-    loop: dict[str, Parent | None] = {"a": Parent("b", 1), "b": Parent("a", 1), "c": Parent("a", 2)}
-    assert [(root.run, [child.run for child in root.children]) for root in trees(loop)] == [("a", ["c"]), ("b", [])]
-
-
-# --- the log ----------------------------------------------------------------------------------------------------------
-
-
-def test_the_log_says_what_was_done_by_whom_and_what_became_of_it(trained: RunFolder) -> None:
-    entries = log_of(History(trained))
-    assert [entry.words for entry in entries] == [
-        "trainer started: from the initial design",
-        "α set to 2.5, in force from iteration 1",
-        "link_5 locked at 2.75 m, in force from iteration 1",
-        "refused: link_1 must lie inside [0.05, 5] m, not 9 (design set to link_1 9 m, link_2 9 m, link_3 9 m, "
-        "link_4 9 m, link_5 9 m)",
-        "finished: all 4 iterations are done",
-    ]
-    assert [entry.sender for entry in entries] == ["", "a test", "", "", ""]
-    assert [entry.accepted for entry in entries] == [True, True, True, False, True]
-    assert not any(entry.undone for entry in entries)
-
-
-def test_a_command_that_a_resume_voided_is_undone(parent: RunFolder) -> None:
-    history = History(parent)
-    log = EventLog(parent)
-    asked = next(e for e in history.events if getattr(e, "command", None) == SetAlpha(2.5))
-    log.append(msgspec.structs.replace(asked, iteration=3, id=9))
-    log.append(StateChanged(status="starting", iteration=2))
-    log.close()
-    assert [entry.iteration for entry in log_of(History(parent)) if entry.undone] == [3]
-
-
 # --- the API ----------------------------------------------------------------------------------------------------------
 
 
@@ -441,135 +341,6 @@ def test_the_flags_of_a_branch_are_laid_over_its_parent(
     words("train", "--branch", parent.id, "--search", "drift", "--search.ridge", "0.3")
     assert followed[-1].record().config["search"]["ridge"] == 0.3  # pyright: ignore[reportIndexIssue]
     assert followed[-1].record().config["hidden"] == 8
-
-
-# --- the viewer -------------------------------------------------------------------------------------------------------
-
-
-def test_the_button_branches_where_the_timeline_stands(page: Page, trained: RunFolder) -> None:
-    page.show(trained)
-    viewer = page.viewer
-    assert viewer.run.branch.label == "Branch from here (iteration 4)"
-    viewer.timeline.follow.value, viewer.timeline.iteration.value = False, 3
-    page.show(trained)
-    assert viewer.run.branch.label == "Branch from here (iteration 3)"
-    viewer._open_branch(None)
-    form = viewer.start
-    assert form.folder.visible
-    assert f"branches at iteration 2 of {trained.id}, the nearest checkpoint up to iteration 3" in form.source.content
-    assert (form.task.disabled, form.task.value, form.method.value, form.seed.value) == (True, "reacher", "morph", 5)
-    assert (form.iterations.value, form.settings.alpha.value) == (2, 2.5)
-    assert not form.options["reacher"]["tunnel"].visible
-    assert form.preview
-    assert list(form.preview.phi) == History(trained).progress[1].phi
-    form.submit(None)
-    assert page.started == [
-        StartRun(
-            task="reacher", method="morph", seed=5, iterations=2, task_options={"tunnel": "paper"},
-            branch=Branch(trained.id, 3),
-        )
-    ]  # fmt: skip
-    assert not form.source.visible
-
-
-def test_the_form_of_a_branch_asks_for_what_is_changed(page: Page, trained: RunFolder) -> None:
-    page.show(trained)
-    page.viewer._open_branch(None)
-    form = page.viewer.start
-    form.settings.alpha.value = 0.5
-    assert form._bounds
-    assert form._bounds.rows["link_5"].locked.value
-    form._bounds.rows["link_5"].locked.value = False
-    form._bounds.rows["link_1"].bounds.value = (0.5, 4.0)
-    form.submit(None)
-    (wish,) = page.started
-    assert wish.settings == {"alpha": 0.5}
-    assert [(p.name, p.lo, p.hi, p.locked_at) for p in wish.parameters or []] == [
-        ("link_1", 0.5, 4.0, None), ("link_5", 0.05, 5.0, None)
-    ]  # fmt: skip
-    page.viewer.select(trained.id)
-    page.viewer._open_branch(None)
-    form.method.value = "direct"
-    assert "another method counts from 0" in form.source.content
-    form.submit(None)
-    assert (page.started[-1].method, page.started[-1].settings) == ("direct", {})
-
-
-def test_a_new_run_can_be_started_with_bounds_of_its_own(page: Page) -> None:
-    form = page.viewer.start
-    assert form._bounds
-    form._bounds.rows["link_1"].bounds.value = (0.5, 4.0)
-    form.submit(None)
-    assert [(p.name, p.lo, p.hi) for p in page.started[0].parameters or []] == [("link_1", 0.5, 4.0)]
-
-
-def test_bounds_and_a_design_to_start_from_go_together(page: Page, trained: RunFolder) -> None:
-    form = page.viewer.start
-    form.take(msgspec.json.encode(design_of(History(trained), [2.0] * 5)))
-    assert form._bounds
-    form._bounds.rows["link_1"].bounds.value = (0.5, 4.0)
-    form.submit(None)
-    assert [(p.lo, p.hi, p.initial) for p in page.started[0].parameters or []][:2] == [
-        (0.5, 4.0, 2.0), (0.05, 5.0, 2.0)
-    ]  # fmt: skip
-    assert page.started[0].parent == Parent(trained.id, 1)
-
-
-@pytest.mark.parametrize("way", ["opened", "button"])
-def test_a_branch_is_forgotten_for_a_new_run(page: Page, trained: RunFolder, way: str) -> None:
-    page.show(trained)
-    page.viewer._open_branch(None)
-    if way == "button":
-        page.viewer.start._forget()
-    else:
-        page.viewer.open(None)
-    form = page.viewer.start
-    assert (form.source.visible, form.task.disabled, form.options["reacher"]["tunnel"].visible) == (False, False, True)
-    form.submit(None)
-    assert page.started[0].branch is None
-
-
-def test_what_can_not_be_branched_from_is_said(page: Page, parent: RunFolder) -> None:
-    shutil.rmtree(parent.checkpoint(2))
-    (parent.checkpoint(4) / "state.json").write_text("{")
-    page.show(parent)
-    page.viewer._open_branch(None)
-    assert f"checkpoint 4 of {parent.id} can" in page.viewer.notice.content
-    assert page.viewer.selected == parent.id
-
-
-def test_tree_and_log_are_shown_in_their_tab(page: Page, trained: RunFolder) -> None:
-    page.show(trained)
-    panel = page.viewer.log
-    assert "No run was branched from this one yet" in panel.tree.content
-    assert not panel.relatives.visible
-    assert "α set to 2.5, in force from iteration 1" in panel.log.content
-    assert "a test" in panel.log.content
-    assert panel.log.content.index("finished") < panel.log.content.index("trainer started")
-    child = Member("child<b>", Parent(trained.id, 3, 2))
-    page.family = Member(trained.id, children=[child, Member("gone", Parent(trained.id, 4), here=False)])
-    page.viewer._tree = (None, None)
-    page.show(trained)
-    assert "child&lt;b&gt;" in panel.tree.content
-    assert "from iteration 2, asked for 3" in panel.tree.content
-    assert panel.relatives.options == ("open one of them…", "child<b>")
-    panel.relatives.value = "child<b>"
-    panel._open()
-    assert page.viewer.selected == "child<b>"
-
-
-def test_a_branch_begins_on_the_timeline_where_its_parent_was(page: Page, parent: RunFolder) -> None:
-    folder = prepare_run(parent.path.parent, StartRun(branch=Branch(parent.id, 2), iterations=2))
-    Trainer(folder).run()
-    page.show(folder)
-    timeline = page.viewer.timeline
-    assert (timeline.iteration.min, timeline.iteration.max, timeline.iteration.value) == (2, 4, 4)
-    timeline.follow.value, timeline.iteration.value = False, 1
-    timeline._pick(None)
-    assert "choose 2 to 4" in page.viewer.notice.content
-    assert timeline.iteration.value == 2
-    page.show(folder)
-    assert "initial design" in timeline.what.content
 
 
 # --- real processes ---------------------------------------------------------------------------------------------------

@@ -261,6 +261,7 @@ def test_a_run_can_begin_with_a_design_that_was_exported(page: Page, folder: Run
     phi = [0.1, -0.2, 0.0, 0.3, 0.2, 0.21, 0.22, 0.23]
     options: dict[str, object] = {"grasp": "two_besides_presser", "mass": 0.2}
     design = msgspec.structs.replace(design_of(history, phi), task_options=options)
+    page.viewer.show({}, {}, None)
     form.take(msgspec.json.encode(design))
     assert form.task.value == "pen_press"
     assert form.options["pen_press"]["grasp"].value == "two_besides_presser"
@@ -322,6 +323,7 @@ def test_a_hand_is_not_offered_what_it_cannot_be_run_with(page: Page, task: str)
 
 
 def test_another_task_is_seen_before_the_start(page: Page) -> None:
+    page.viewer.show({}, {}, None)
     page.viewer.start.task.value = "pen_press"
     take = page.take(lambda take: take.shot.task == "pen_press")
     assert "button" in take.objects.names

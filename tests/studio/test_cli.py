@@ -183,6 +183,10 @@ def test_the_command_line_does_not_load_torch() -> None:
         ("train reacher --preset paper --method direct", "one of the method morph, not of direct"),
         ("train reacher --projection both", "choose from: none, one_sided, as_printed"),
         ("train reacher --tunnel straight", "choose from: zigzag, paper"),
+        (
+            "train pen_press --servo-limits XM43",
+            'can\'t be "XM43" (did you mean XM430-W350?); choose from: none',
+        ),
         ("train reacher --alpha nan", "alpha must be finite, not nan"),
         ("train reacher --alpha inf", "alpha must be finite, not inf"),
         ("train reacher --alpha -1", "alpha must not be negative"),
@@ -330,6 +334,10 @@ def test_a_design_is_handed_to_a_run_that_is_at_work_and_to_no_other(folder: Run
     [
         ("export RUN --formats dwg", "choose from: mjcf, urdf, stl, 3mf, glb, step"),
         ("export RUN --formats", "choose from: mjcf, urdf"),
+        ("export RUN --servo XM430-W350", "the torques of its joints are not simulated"),
+        ("export RUN --printer prusa", "choose from: bambu_a1_mini, bambu_x1c"),
+        ("export RUN --printer 20x300x300", "has a side outside 50 to 2000 mm"),
+        ("export RUN --formats mjcf --printer prusa_xl", "a printer is for the format 3mf, and the formats are: mjcf"),
         ("export RUN --design 9", "choose best, latest or 0 to 2"),
         ("export RUN --design newest", "choose best, latest or an iteration"),
         ("evaluate RUN --design 9", "choose best, latest or 0 to 2"),

@@ -10,7 +10,9 @@ from conftest import NAME, Page, eventually, make_hand_run, make_run
 
 from morph_core.history import History
 from morph_core.protocol import Status
+from morph_core.run_folder import RunFolder
 from studio.compare import compare
+from studio.viewer.compare import View
 from studio.viewer.comparison import comparison_table
 from studio.viewer.take import Take
 
@@ -28,12 +30,22 @@ def histories(tmp_path: Path) -> dict[str, History]:
 
 @pytest.fixture
 def show(page: Page, histories: dict[str, History]) -> Callable[[], None]:
+    page.others.histories |= histories
     statuses: dict[str, tuple[Status, str]] = {name: (history.status, "") for name, history in histories.items()}
     return lambda: page.viewer.show(histories, statuses, NAME)
 
 
 def second(page: Page, wanted: Callable[[Take], bool] = lambda _: True) -> Take:
     return page.take(lambda take: take.second is not None and wanted(take))
+
+
+def show_b(page: Page, view: View, run: str) -> None:
+    """Show a run beside the one on screen, as a person does."""
+    panel = page.viewer.compare
+    panel.view.value = view
+    panel._set_view(None)
+    panel.run.value = run
+    panel._choose_run(None)
 
 
 def test_nothing_is_compared_until_somebody_asks(page: Page, show: Callable[[], None]) -> None:
@@ -56,7 +68,7 @@ def test_the_initial_design_stands_beside_the_one_on_screen(page: Page, show: Ca
     assert take.second.scenery is not None
     names = eventually(lambda: [n for n in page.viewer.player.node_names if n.startswith("/second_robot/")])
     assert names
-    assert "B stands in its start posture: no episode was recorded at iteration 0" in panel.note.content
+    assert "B, iteration 0: in its start posture: no episode was recorded" in panel.note.content
     assert "the nearest one is of iteration 3" in panel.note.content
     panel.view.value = "off"
     panel._on_choice()
@@ -83,8 +95,7 @@ def test_another_run_lies_over_the_first_and_differs_as_the_table_says(
 ) -> None:
     show()
     panel = page.viewer.compare
-    panel.view.value, panel.run.value = "overlaid", OTHER
-    panel._choose_run(None)
+    show_b(page, "overlaid", OTHER)
     panel.iteration.value = 2
     panel._choose_iteration(None)
     take = second(page, lambda take: take.shot.second is not None and take.shot.second.phi == pytest.approx([2.8] * 5))
@@ -97,11 +108,46 @@ def test_another_run_lies_over_the_first_and_differs_as_the_table_says(
     assert eventually(lambda: "B, tinted" in page.viewer.timeline.legend.content)
 
 
+def test_every_run_of_the_task_is_offered_by_what_people_call_it_and_read_when_it_is_chosen(
+    page: Page, show: Callable[[], None], histories: dict[str, History]
+) -> None:
+    show()
+    old = histories.pop(OTHER)  # too old for browsers to be told of it
+    page.others.names[OTHER] = "the good one"
+    show()
+    panel = page.viewer.compare
+    assert panel.second_run is None
+    show_b(page, "side by side", f"the good one · {OTHER}")
+    assert panel.run.options == (NAME, f"the good one · {OTHER}")
+    assert second(page).shot.second is not None
+    assert (panel._second, panel.second_run) == (old, OTHER)
+    assert page.viewer.runs_on_screen == {NAME, OTHER}  # so that it is followed from now on
+
+
+def test_a_second_design_without_an_episode_has_one_run(
+    page: Page, show: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(RunFolder, "checkpoint_up_to", lambda _, iteration: iteration - 1)
+    show()
+    show_b(page, "side by side", OTHER)
+    panel = page.viewer.compare
+    panel.iteration.value = 2
+    panel._choose_iteration(None)
+    assert eventually(lambda: "B, iteration 2: playing an episode that was run just now" in panel.note.content)
+    assert "the policy is that of iteration 1" in panel.note.content
+    take = second(page, lambda take: take.shot.second is not None and take.shot.second.played is not None)
+    assert take.second is not None
+    assert take.second.frames > 1
+
+
 def test_designs_of_different_tasks_are_refused_in_a_sentence(page: Page, show: Callable[[], None]) -> None:
     show()
     panel = page.viewer.compare
-    panel.view.value, panel.run.value = "side by side", HAND
-    panel._choose_run(None)
+    panel._pin(None)
+    second(page)
+    assert HAND not in panel.run.options
+    page.viewer.open(HAND)
+    assert panel.run.value == NAME
     assert "designs of different tasks can&#x27;t be compared" in panel.note.content
     assert page.take(lambda take: take.second is None)
     assert not panel.table.visible
@@ -112,8 +158,7 @@ def test_a_run_that_was_deleted_is_said_to_be_gone(
 ) -> None:
     show()
     panel = page.viewer.compare
-    panel.view.value, panel.run.value = "side by side", OTHER
-    panel._choose_run(None)
+    show_b(page, "side by side", OTHER)
     second(page)
     shutil.rmtree(histories.pop(OTHER).folder.path)
     show()
@@ -126,14 +171,13 @@ def test_other_options_stand_beside_each_other(page: Page, tmp_path: Path) -> No
     first, other = make_run(runs, NAME, "finished"), make_run(runs, OTHER, "finished")
     record = (other.path / "run.json").read_text()
     (other.path / "run.json").write_text(record.replace('"task_options": {}', '"task_options": {"tunnel": "paper"}'))
-    histories = {folder.id: History(folder) for folder in (first, other)}
+    histories = page.others.histories = {folder.id: History(folder) for folder in (first, other)}
     assert histories[OTHER].record.task_options == {"tunnel": "paper"}
     statuses: dict[str, tuple[Status, str]] = {name: ("finished", "") for name in histories}
     page.viewer.show(histories, statuses, NAME)
     panel = page.viewer.compare
-    panel.view.value, panel.run.value = "overlaid", OTHER
-    panel._choose_run(None)
-    take = second(page)
+    show_b(page, "overlaid", OTHER)
+    take = second(page, lambda take: take.shot.second is not None and bool(take.shot.second.task_options))
     assert take.second is not None
     assert take.second.scenery is not None
     assert len(take.second.scenery) != len(take.scenery)

@@ -28,6 +28,8 @@ from studio.export.place import write_bundle
 from studio.export.verify import verify
 from studio.new_run import StartRun, prepare_run
 
+FAST = ["mjcf", "urdf"]
+"""Formats for what is no matter of prints, which take longest."""
 PHIS = {1: [3.0, 2.9, 2.8, 2.7, 2.6], 2: [2.5, 2.0, 1.5, 1.0, 0.05], 3: [2.2, 1.0, 1.6, 2.4, 1.4]}
 
 
@@ -80,7 +82,9 @@ def test_the_zip_holds_robot_scene_design_and_provenance(history: History) -> No
     files = unpack(bundle.content)
     assert bundle.name == f"{history.folder.id}-best-000002.zip"
     parts = {"base", *(f"link_{i}" for i in range(1, 6))}
-    assert set(files) == {
+    plates = {path for path in files if path.startswith("plates/")}
+    assert {"plates/plate_1.3mf", "plates/plate_1.svg", "plates/pieces.csv", "plates/joints.csv"} <= plates
+    assert set(files) - plates == {
         "README.txt", "LICENSE", "BOM.csv", "report.html", "design.json", "provenance.json", "control.json",
         "robot.urdf", "robot.xml", "robot.mjz", "scene.xml", "assembly.glb",
         *(f"parts/{part}.stl" for part in parts), *(f"3mf/{part}.3mf" for part in parts),
@@ -94,7 +98,7 @@ def test_the_zip_holds_robot_scene_design_and_provenance(history: History) -> No
 
 @pytest.mark.parametrize(("which", "iteration"), [("best", 2), ("latest", 3), ("1", 1)])
 def test_the_chosen_design_is_the_one_written(history: History, which: str, iteration: int) -> None:
-    files = unpack(build_bundle(history, which).content)
+    files = unpack(build_bundle(history, which, FAST).content)
     design = json.loads(files["design.json"])
     assert design["iteration"] == iteration
     assert [p["value"] for p in design["parameters"]] == PHIS[iteration]
@@ -103,12 +107,12 @@ def test_the_chosen_design_is_the_one_written(history: History, which: str, iter
 
 
 def test_iteration_0_is_the_initial_design(history: History) -> None:
-    design = json.loads(unpack(build_bundle(history, "0").content)["design.json"])
+    design = json.loads(unpack(build_bundle(history, "0", FAST).content)["design.json"])
     assert [p["value"] for p in design["parameters"]] == [3.0] * 5
 
 
 def test_bounds_and_commands_are_those_in_force_for_the_design(history: History) -> None:
-    before, after = (unpack(build_bundle(history, which).content) for which in ("2", "3"))
+    before, after = (unpack(build_bundle(history, which, FAST).content) for which in ("2", "3"))
     bounds = [json.loads(files["design.json"])["parameters"][0] for files in (before, after)]
     assert [(p["lo"], p["hi"]) for p in bounds] == [(0.05, 5.0), (1.0, 2.3)]
     commands = [json.loads(files["provenance.json"])["commands"] for files in (before, after)]
@@ -116,7 +120,7 @@ def test_bounds_and_commands_are_those_in_force_for_the_design(history: History)
 
 
 def test_provenance_says_where_it_comes_from_and_digests_every_other_file(history: History) -> None:
-    files = unpack(build_bundle(history, "latest").content)
+    files = unpack(build_bundle(history, "latest", FAST).content)
     provenance = json.loads(files.pop("provenance.json"))
     assert provenance["sha256"] == {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     assert (provenance["run"], provenance["iteration"], provenance["seed"]) == (history.folder.id, 3, 7)
@@ -146,10 +150,23 @@ def test_other_formats_are_refused_with_the_list(history: History, formats: list
         build_bundle(history, "best", formats)
 
 
+def test_a_printer_that_is_asked_for_must_hold_every_part(history: History) -> None:
+    with pytest.raises(
+        ExportError, match=r"link_1 is \d+ x 119 x 119 mm .* printers that are large enough: none of the t"
+    ):
+        build_bundle(history, "best", ["3mf"], printer="prusa_xl")
+    with pytest.raises(ExportError, match=r"base is \d+ x \d+ x \d+ mm .* large enough: bambu_x1c.*, prusa_xl"):
+        build_bundle(history, "best", ["3mf"], [0.3] * 5, printer="prusa_mini")
+    files = build_bundle(history, "best", ["3mf"], [0.3] * 5, printer="300x300x200").files
+    assert json.loads(files["provenance.json"])["printer"] == "300x300x200"
+    assert b"printer 300 x 300 x 200 mm" in files["plates/plate_1.svg"]
+    assert b"dowel pin 12 x 60 mm" in files["BOM.csv"]
+
+
 @pytest.mark.parametrize("which", ["4", "newest", "../1", "-1", ""])
 def test_a_design_that_is_not_there_is_refused(history: History, which: str) -> None:
     with pytest.raises(ExportError, match="choose best, latest"):
-        build_bundle(history, which)
+        build_bundle(history, which, FAST)
 
 
 @pytest.mark.parametrize("phi", [[1e9, 1, 1, 1, 1], [0.0, 1, 1, 1, 1]])
@@ -158,7 +175,7 @@ def test_a_recorded_design_outside_the_task_is_refused(history: History, phi: li
     log.append(Progress(iteration=4, env_steps=9, phi=phi, episode_return=0, success=0, policy_std=0.5))
     history.poll()
     with pytest.raises(ExportError, match=r"the design (has|is)|of the design"):
-        build_bundle(history, "latest")
+        build_bundle(history, "latest", FAST)
 
 
 def test_a_run_of_an_unknown_task_is_refused(history: History) -> None:
@@ -171,7 +188,7 @@ def test_a_run_of_an_unknown_task_is_refused(history: History) -> None:
 def test_a_hostile_run_name_does_not_reach_a_file_name(history: History) -> None:
     hostile = history.folder.path.with_name("..\\ a\n$(touch x)" + "é" * 60)
     history.folder.path.rename(hostile)
-    bundle = build_bundle(History(RunFolder(hostile)), "best")
+    bundle = build_bundle(History(RunFolder(hostile)), "best", FAST)
     name, content = bundle.name, bundle.content
     assert name.isascii()
     assert not set(name) & set("/\\\n $()")
@@ -181,7 +198,7 @@ def test_a_hostile_run_name_does_not_reach_a_file_name(history: History) -> None
 
 
 def test_a_zip_is_written_to_the_path(history: History, tmp_path: Path) -> None:
-    out = write_bundle(build_bundle(history, "best"), tmp_path / "new folder" / "arm.zip")
+    out = write_bundle(build_bundle(history, "best", FAST), tmp_path / "new folder" / "arm.zip")
     assert all(check.passed for check in verify(unpack(out.read_bytes())))
     assert [p.name for p in out.parent.iterdir()] == ["arm.zip"]
 
@@ -201,11 +218,11 @@ def test_a_folder_with_anything_else_in_it_is_left_alone(history: History, tmp_p
     foreign.mkdir()
     (foreign / "chapter.tex").write_text("years of work")
     with pytest.raises(ExportError, match="holds other files"):
-        write_bundle(build_bundle(history, "best"), foreign)
-    earlier = write_bundle(build_bundle(history, "best"), tmp_path / "arm")
+        write_bundle(build_bundle(history, "best", FAST), foreign)
+    earlier = write_bundle(build_bundle(history, "best", FAST), tmp_path / "arm")
     (earlier / "notes.txt").write_text("mine")
     with pytest.raises(ExportError, match=r"notes\.txt"):
-        write_bundle(build_bundle(history, "1"), earlier)
+        write_bundle(build_bundle(history, "1", FAST), earlier)
     assert (foreign / "chapter.tex").read_text() == "years of work"
     assert json.loads((earlier / "design.json").read_text())["iteration"] == 2
 
@@ -213,9 +230,9 @@ def test_a_folder_with_anything_else_in_it_is_left_alone(history: History, tmp_p
 def test_a_file_where_the_folder_should_be_is_left_alone(history: History, tmp_path: Path) -> None:
     (tmp_path / "arm").write_text("mine")
     with pytest.raises(ExportError, match="is no folder"):
-        write_bundle(build_bundle(history, "best"), tmp_path / "arm")
+        write_bundle(build_bundle(history, "best", FAST), tmp_path / "arm")
     with pytest.raises(ExportError, match="can't write"):
-        write_bundle(build_bundle(history, "best"), tmp_path / "arm" / "b.zip")
+        write_bundle(build_bundle(history, "best", FAST), tmp_path / "arm" / "b.zip")
     assert (tmp_path / "arm").read_text() == "mine"
 
 
@@ -223,7 +240,7 @@ def test_a_file_where_the_folder_should_be_is_left_alone(history: History, tmp_p
 def test_a_full_disk_leaves_the_earlier_export_and_no_debris(
     history: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    out = write_bundle(build_bundle(history, "1"), tmp_path / name)
+    out = write_bundle(build_bundle(history, "1", FAST), tmp_path / name)
     before = out.read_bytes() if out.is_file() else (out / "design.json").read_bytes()
 
     def full(_: int) -> None:
@@ -231,7 +248,7 @@ def test_a_full_disk_leaves_the_earlier_export_and_no_debris(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(ExportError, match="No space left"):
-        write_bundle(build_bundle(history, "best"), out)
+        write_bundle(build_bundle(history, "best", FAST), out)
     assert (out.read_bytes() if out.is_file() else (out / "design.json").read_bytes()) == before
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([name, "runs"])
 
@@ -239,7 +256,7 @@ def test_a_full_disk_leaves_the_earlier_export_and_no_debris(
 def test_a_replacement_that_fails_half_way_puts_the_earlier_export_back(
     history: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = write_bundle(build_bundle(history, "1"), tmp_path / "arm")
+    out = write_bundle(build_bundle(history, "1", FAST), tmp_path / "arm")
     rename = Path.rename
 
     def failing(self: Path, target: Path) -> Path:
@@ -249,5 +266,5 @@ def test_a_replacement_that_fails_half_way_puts_the_earlier_export_back(
 
     monkeypatch.setattr(Path, "rename", failing)
     with pytest.raises(ExportError, match="Input/output error"):
-        write_bundle(build_bundle(history, "best"), out)
+        write_bundle(build_bundle(history, "best", FAST), out)
     assert json.loads((out / "design.json").read_text())["iteration"] == 1

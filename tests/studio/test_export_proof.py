@@ -6,6 +6,7 @@ import io
 import itertools
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -26,12 +27,15 @@ from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
 from morph_core.task import Task
 from studio.export.archive import unzipped, zipped
-from studio.export.bundle import FORMATS, Bundle, build_bundle, parts_of_design, robot_files
+from studio.export.bundle import EPISODES, FORMATS, Bundle, build_bundle, parts_of_design, robot_files
 from studio.export.design_file import Design, PartEntry, phi_for, read_design, starting_from
 from studio.export.errors import ExportError
-from studio.export.meshes import three_mf
+from studio.export.meshes import Body, three_mf
+from studio.export.plates import plan_prints, print_files
 from studio.export.policy import Policy, Score
+from studio.export.printers import DEFAULT
 from studio.export.proof import prove, prove_robot, unpack
+from studio.export.servos import ServoTable
 from studio.export.urdf import urdf_names
 from studio.export.zero import zero_of
 from studio.new_run import StartRun
@@ -61,10 +65,10 @@ def corners(task: Task) -> list[np.ndarray]:
 def faults_of(task: Task, phi: np.ndarray) -> list[str]:
     """Return where the files of a design differ from the robot that is simulated, whoever reads them."""
     parts, robot = robot_of(task).parts(phi), robot_of(task).file_name
-    files = robot_files(task, phi, parts, FORMATS)
+    model = task.spec(phi).compile()
+    files = robot_files(task, phi, parts, FORMATS) | print_files(plan_prints(parts, DEFAULT, model))
     checks = prove_robot(files, design_in(task, parts), task, phi)
     faults = [str(check) for check in checks if not check.passed]
-    model = task.spec(phi).compile()
     zero = zero_of(model, robot_of(task).zero(phi))
     with tempfile.TemporaryDirectory() as folder:
         unpack(files, Path(folder))
@@ -76,7 +80,7 @@ def design_in(task: Task, parts: Sequence[Part]) -> Design:
     """Return a design of a task as a bundle has it, as far as its robot is concerned."""
     return Design(
         task=task.name, task_options={}, robot=robot_of(task).file_name, run="", design="", iteration=0, parameters=[],
-        parts=[PartEntry(part.name, list(part.links), part.inertial.mass) for part in parts],
+        parts=[PartEntry(part.name, list(part.links), part.inertial.mass, part.density) for part in parts],
     )  # fmt: skip
 
 
@@ -214,12 +218,18 @@ def add_policy(history: History, task: Task, iteration: int, scale: float = 0.3)
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
-    """The bundle of a pen hand, with a policy, from a run with a hostile name."""
+def history(tmp_path_factory: pytest.TempPathFactory) -> History:
+    """A run of a pen hand, with a policy and a hostile name."""
     folder = make_hand_run(tmp_path_factory.mktemp("runs"), "pen_press")
     folder.path.rename(folder.path.with_name(NAME))
     history = History(type(folder)(folder.path.with_name(NAME)))
     add_policy(history, make_task("pen_press"), 0)  # of an earlier iteration: its success was never measured
+    return history
+
+
+@pytest.fixture(scope="module")
+def bundle(history: History) -> Bundle:
+    """The bundle of that run."""
     return build_bundle(history, "best")
 
 
@@ -227,14 +237,20 @@ def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
     links = [f"finger_{i}_{part}" for i in (1, 2) for part in ("proximal", "distal")]  # 2 = 3 = 4
     assert set(bundle.files) == {
         "hand.xml", "hand.mjz", "scene.xml", "hand.urdf", "control.json", "assembly.glb", "policy.npz", "run_policy.py",
-        "design.json", "provenance.json", "BOM.csv", "report.html", "LICENSE", "README.txt",
+        "policy.onnx", "policy.py", "design.json", "provenance.json", "BOM.csv", "report.html", "LICENSE", "README.txt",
+        "servos.json",
         *(f"{folder}/{part}.{ending}" for folder, ending in (("parts", "stl"), ("3mf", "3mf"))
           for part in ("palm", *links)),
+        "plates/plate_1.3mf", "plates/plate_1.svg", "plates/pieces.csv", "plates/joints.csv",
     }  # fmt: skip
     assert all(check.passed for check in prove(bundle.files, episodes=4))
     rows = bundle.files["BOM.csv"].decode().splitlines()
     assert any(row.startswith("finger_2_distal,3,finger_2_distal finger_3_distal finger_4_distal,") for row in rows)
-    assert any(row.startswith("dowel pin 4 x 22 mm,8") for row in rows)
+    assert any(row.startswith("dowel pin 4 x 28 mm,8") for row in rows)
+    assert (
+        b"The prints follow the collision shapes: they reach out of them by at most 0.00 mm"
+        in bundle.files["report.html"]
+    )
     control = json.loads(bundle.files["control.json"])
     joint = control["joints"]["finger_1_distal_joint"]
     assert joint["zero"] == 0.25
@@ -245,13 +261,49 @@ def test_a_bundle_holds_what_the_bench_needs(bundle: Bundle) -> None:
     assert joint["armature"] == 0.01
 
 
+def servos_of(bundle: Bundle) -> ServoTable:
+    return msgspec.json.decode(bundle.files["servos.json"], type=ServoTable)
+
+
+def test_a_bundle_says_which_servo_can_do_what_the_policy_needs(bundle: Bundle) -> None:
+    table = servos_of(bundle)
+    assert (table.episodes, table.instants) == (EPISODES, EPISODES * 40 * 10)  # control steps, and 10 ms steps of each
+    assert [row.joint for row in table.joints] == [
+        f"finger_{i}_{link}" for i in range(1, 5) for link in ("proximal", "distal")
+    ]
+    assert [(row.joint, row.unit) for row in table.others] == [("palm", "N")]
+    for row in table.joints:
+        assert 0 < row.torque_95 <= row.torque_peak <= 4.0 + 1e-9  # what the hand's drives were given
+        assert 0 < row.speed_95 <= row.speed_peak
+    assert f"<td>servo {table.servo}<" in bundle.files["report.html"].decode()
+    assert f"\nservo {table.servo},8," in bundle.files["BOM.csv"].decode()
+    assert f"Servos:  {table.servo} suffices for " in bundle.files["README.txt"].decode()
+
+
+def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for(
+    history: History, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("studio.export.servos.EPISODES", 3)
+    weak = build_bundle(history, "best", ["mjcf"], servo="mg90s")
+    table = servos_of(weak)
+    assert (table.servo, table.episodes, table.suffices) == ("MG90S", 3, False)
+    assert "does not suffice: peak torque" in weak.files["report.html"].decode()
+    with pytest.raises(ExportError, match="choose the format mjcf"):
+        build_bundle(history, "best", ["urdf"], servo="MG90S")
+    with pytest.raises(ExportError, match="did you mean MG90S"):
+        build_bundle(history, "best", ["mjcf"], servo="MG90")
+
+
 def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundle) -> None:
     page = bundle.files["report.html"].decode()
     assert "&lt;b&gt;run" in page
     assert "<b>" not in page
     assert 'src="http' not in page
     assert "data:image/png;base64," in page
-    assert "lifted 75%" in page
+    assert "lifted 75\N{NO-BREAK SPACE}%" in page
+    for heading in ("Printed and simulated", "Print it", "Servos", "Bill of materials"):
+        assert f"<h2>{heading}</h2>" in page
+    assert "The prints follow the collision shapes: they reach out of them by at most" in page
 
 
 def test_a_bundle_name_is_plain_whatever_the_run_is_called(bundle: Bundle) -> None:
@@ -265,7 +317,8 @@ def test_the_policy_runs_with_numpy_and_mujoco_alone(bundle: Bundle, tmp_path: P
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_bytes(content)
     code = (
-        "import runpy, sys; before = {*sys.modules}; runpy.run_path('run_policy.py', run_name='__main__');"
+        "import runpy, sys; sys.path.insert(0, '.'); before = {*sys.modules};"
+        "runpy.run_path('run_policy.py', run_name='__main__');"
         "loaded = {m.split('.')[0] for m in {*sys.modules} - before};"
         "sys.exit(len(loaded & {'morph_core', 'studio', 'torch', 'trimesh'}))"
     )
@@ -335,7 +388,8 @@ def without_a_copy(content: bytes) -> bytes:
 
 def with_a_second_object(_: bytes) -> bytes:
     cube = trimesh.creation.box((10, 10, 10))
-    files = unzipped(three_mf(Part("palm", ("palm",), np.asarray(cube.vertices), np.asarray(cube.faces))))
+    body = Body("palm", np.asarray(cube.vertices), np.asarray(cube.faces), [np.eye(3, 4)])
+    files = unzipped(three_mf("palm", "", [body]))
     text = files["3D/3dmodel.model"].decode()
     thing = text[text.index("<object ") : text.index("</object>") + len("</object>")]
     text = text.replace(thing, thing + thing.replace('id="1"', 'id="2"')).replace(
@@ -344,10 +398,30 @@ def with_a_second_object(_: bytes) -> bytes:
     return zipped(files | {"3D/3dmodel.model": text.encode()})
 
 
+def moved_item(by: str) -> Callable[[bytes], bytes]:
+    """Return a breaking of a 3MF: its first item lies elsewhere."""
+
+    def move(content: bytes) -> bytes:
+        files = unzipped(content)
+        text = files["3D/3dmodel.model"].decode()
+        where = re.search(r'transform="((?:\S+ ){9})[^"]+"', text)
+        assert where
+        text = text.replace(where[0], f'transform="{where[1]}{by}"', 1)
+        return zipped(files | {"3D/3dmodel.model": text.encode()})
+
+    return move
+
+
 BREAKS = [
+    ("plates/plate_1.3mf", moved_item("-20 90 20"), "plates/plate_1.3mf: inside the printer"),
+    ("plates/plate_1.3mf", moved_item("128 128 6"), "plates/plate_1.3mf: none over another"),
+    ("plates/plate_1.3mf", without_a_copy, "plates: each piece as often as needed"),
+    ("plates/pieces.csv", replaced("finger_1_distal", "finger_9_distal"), "plates: each piece as often as needed"),
+    ("plates/pieces.csv", lambda _: b"", "plates"),
+    ("3mf/finger_1_distal.3mf", moved_item("0 0 -50"), "3mf/finger_1_distal.3mf: lies on the bed"),
     ("3mf/palm.3mf", in_inches, "3mf/palm.3mf: quantity, name and unit"),
     ("3mf/finger_2_distal.3mf", without_a_copy, "3mf/finger_2_distal.3mf: quantity"),
-    ("3mf/palm.3mf", with_a_second_object, "part palm"),
+    ("3mf/palm.3mf", with_a_second_object, "3mf/palm.3mf: quantity"),
     ("3mf/palm.3mf", lambda content: content[:400], "3mf/palm.3mf"),
     ("parts/palm.stl", holed, "parts/palm.stl: watertight"),
     ("parts/finger_1_distal.stl", larger, "parts/finger_1_distal.stl: mass"),
@@ -361,6 +435,8 @@ BREAKS = [
     ("hand.mjz", lambda content: content[:-40], "hand.mjz"),
     ("assembly.glb", lambda content: content[:400], "assembly.glb"),
     ("policy.npz", lambda content: content[:200], "policy"),
+    ("policy.onnx", lambda content: content[:-40], "policy.onnx: actions"),
+    ("policy.py", lambda content: content + b"#", "policy.py: the program"),
     ("design.json", replaced('"value": 0.1,', '"value": 0.2,'), "positions"),
     ("README.txt", lambda content: content + b"!", "provenance.json: digests"),
 ]  # fmt: skip

@@ -51,7 +51,7 @@ def bundle() -> dict[str, bytes]:
     program = robot_of(TASK).program(phi)
     assert program is not None
     files = robot_files(TASK, phi, [], ("mjcf", "urdf"))
-    return files | {"design.json": design_json(), "run_policy.py": program.source}
+    return files | {"design.json": design_json(), **program.sources}
 
 
 def faults(files: Mapping[str, bytes]) -> list[str]:

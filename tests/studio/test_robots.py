@@ -101,7 +101,8 @@ def run_policy(bundle: Bundle, folder: Path, said: str = "") -> str:
     """Run the shipped program away from this package, and return what it prints."""
     unpack(bundle.files, folder)
     code = (
-        "import runpy, sys; before = {*sys.modules}; runpy.run_path('run_policy.py', run_name='__main__');"
+        "import runpy, sys; sys.path.insert(0, '.'); before = {*sys.modules};"
+        "runpy.run_path('run_policy.py', run_name='__main__');"
         "loaded = {m.split('.')[0] for m in {*sys.modules} - before};"
         "sys.exit(len(loaded & {'morph_core', 'studio', 'torch', 'trimesh'}))"
     )
@@ -139,14 +140,18 @@ def test_a_task_has_the_robot_of_its_kind_whatever_it_is_called() -> None:
 
 def test_a_foreign_task_exports_every_format(bundle: Bundle) -> None:
     links = ("base", "rod_1", "rod_2")
-    assert set(bundle.files) == {
+    plates = {path for path in bundle.files if path.startswith("plates/")}
+    assert {"plates/plate_1.3mf", "plates/plate_1.svg", "plates/pieces.csv"} <= plates
+    assert set(bundle.files) - plates == {
         "robot.xml", "robot.mjz", "scene.xml", "robot.urdf", "control.json", "assembly.glb", "policy.npz",
-        "run_policy.py", "design.json", "provenance.json", "report.html", "LICENSE", "README.txt",
+        "policy.onnx", "policy.py", "run_policy.py", "design.json", "provenance.json", "report.html", "LICENSE",
+        "README.txt",
         *(f"{folder}/{link}.{ending}" for folder, ending in (("parts", "stl"), ("3mf", "3mf")) for link in links),
     }  # fmt: skip
     provenance = json.loads(bundle.files["provenance.json"])
     assert provenance["policy"][0]["where"] == "at export"
     assert "stand in for parts" in bundle.files["README.txt"].decode()
+    assert "coupon" not in bundle.files["README.txt"].decode()
     assert "PLA" not in bundle.files["report.html"].decode()
 
 

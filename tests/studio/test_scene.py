@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import viser
+from viser._messages import Message, SceneNodeUpdateMessage
 
 from morph_core.catalogue import make_task
 from studio.viewer import shapes
@@ -175,6 +176,27 @@ def test_painting_and_posing_change_only_what_they_name(server: viser.ViserServe
     layer.paint(colours)
     assert box.handle.batched_colors[0].tolist() == [255, 255, 255]
     assert box.handle.batched_colors[1].tolist() != [255, 255, 255]
+
+
+def test_a_frame_takes_one_message_for_each_node_that_moves(
+    server: viser.ViserServer, model: mujoco.MjModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    layer = Layer(server, "messages")
+    qpos = random_qpos(model, 2)
+    qpos[1, 3:7] = qpos[0, 3:7]  # the arm does not turn, its hinge does, and so the tip, which is a box as the wall is
+    layer.show(Figure.from_model(model, qpos))
+    sent: list[Message] = []
+    monkeypatch.setattr(server.scene, "_queue_scene_message", sent.append)
+    layer.pose(1)
+    said = {message.name: set(message.updates) for message in sent if isinstance(message, SceneNodeUpdateMessage)}
+    assert len(said) == len(sent)
+    assert set(said) == set(layer.node_names)
+    assert said["/messages/box"] == {"batched_positions", "batched_wxyzs"}
+    assert said["/messages/cylinder"] == {"batched_positions"}
+    layer.pose(1)
+    assert len(sent) == len(said)
+    layer.show(Figure.from_model(model, qpos), 1)
+    assert len(sent) == len(said)
 
 
 @pytest.mark.parametrize("aspect", [0.75, 0.46])

@@ -167,7 +167,7 @@ def test_every_answer_carries_the_protective_headers(shared: Served) -> None:
 def test_the_link_becomes_a_cookie_that_scripts_and_other_sites_never_see(shared: Served) -> None:
     with httpx.Client(base_url=f"http://127.0.0.1:{shared.port}") as browser:
         entered = browser.get("/", params={"token": TOKEN})
-        assert (entered.status_code, entered.headers["location"]) == (303, "/")
+        assert (entered.status_code, entered.headers["location"]) == (303, "./")
         cookie = entered.headers["set-cookie"].lower()
         assert "httponly" in cookie
         assert "samesite=strict" in cookie
@@ -179,10 +179,10 @@ def test_the_link_becomes_a_cookie_that_scripts_and_other_sites_never_see(shared
 def test_a_link_with_a_token_leads_to_the_page_that_it_names(shared: Served) -> None:
     with httpx.Client(base_url=f"http://127.0.0.1:{shared.port}") as browser:
         entered = browser.get("/study", params={"token": TOKEN})
-        assert (entered.status_code, entered.headers["location"]) == (303, "/study")
+        assert (entered.status_code, entered.headers["location"]) == (303, "./study")
         assert browser.get("/study").status_code == 200
     assert (
-        "url=/study"
+        "url=./study"
         in PLAIN.get(f"http://127.0.0.1:{shared.port}/study", headers={"Sec-Fetch-Site": "cross-site"}).text
     )
 

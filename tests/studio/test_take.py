@@ -19,7 +19,7 @@ from studio.viewer.scene import is_flat
 from studio.viewer.take import GOAL_LIT, LIT_BY, Shot, Take, _from_their_end, _moving_contacts, make_take
 
 HANDS = sorted(name for name in TASKS if name != "reacher")
-STEPS, FACTOR = 4, 3
+STEPS, FACTOR = 4, 6
 """Control steps of the episode below, and frames for each."""
 
 
@@ -101,22 +101,22 @@ def test_the_button_lights_up_while_it_is_pressed_and_the_goal_on_success(folder
     assert take.frames == STEPS * FACTOR + 1
     button, goal = take.objects.names.index("button"), take.scenery.names.index("goal")
     lit = [tuple(take.object_colours(f)[button]) == LIT_BY["button"][1] for f in range(take.frames)]
-    assert np.flatnonzero(lit).tolist() == list(range(6, 12))
+    assert np.flatnonzero(lit).tolist() == list(range(2 * FACTOR, 4 * FACTOR))
     lit = [tuple(take.scenery_colours(f)[goal]) == GOAL_LIT for f in range(take.frames)]
-    assert np.flatnonzero(lit).tolist() == [9, 10, 11]
+    assert np.flatnonzero(lit).tolist() == list(range(3 * FACTOR, 4 * FACTOR))
     others = np.delete(np.arange(len(take.objects)), button)
-    np.testing.assert_array_equal(take.object_colours(7)[others], take.objects.colours[others])
+    np.testing.assert_array_equal(take.object_colours(2 * FACTOR + 1)[others], take.objects.colours[others])
 
 
 def test_every_contact_of_a_step_is_marked_where_it_is(folder: RunFolder) -> None:
     contact = np.full((STEPS, 4, 3), np.nan)
     contact[1, 0], contact[1, 2], contact[2, 2] = (0.1, 0, 0.02), (0, 0.2, 0.04), (0, 0.2, 0.10)
     take = take_of(folder, episode_of("pen_press", contact=contact))
-    assert np.isnan(take.contact[:6]).all()
-    np.testing.assert_allclose(take.contact[6], contact[1])
-    np.testing.assert_allclose(take.contact[7, 2], (0, 0.2, 0.06))  # on its way
-    np.testing.assert_allclose(take.contact[9, 2], (0, 0.2, 0.10))
-    np.testing.assert_allclose(take.contact[12, 0], (0.1, 0, 0.02))  # held for a moment
+    assert np.isnan(take.contact[: 2 * FACTOR]).all()
+    np.testing.assert_allclose(take.contact[2 * FACTOR], contact[1])
+    np.testing.assert_allclose(take.contact[2 * FACTOR + FACTOR // 3, 2], (0, 0.2, 0.06))  # on its way
+    np.testing.assert_allclose(take.contact[3 * FACTOR, 2], (0, 0.2, 0.10))
+    np.testing.assert_allclose(take.contact[4 * FACTOR, 0], (0.1, 0, 0.02))  # held for a moment
     assert not take.touched.any()
 
 

@@ -467,13 +467,13 @@ def test_a_gallery_is_drawn_when_asked_for_and_a_click_turns_to_a_design(page: P
     page.show(folder)
     gallery = page.viewer.gallery
     assert page.album.drawn == []
-    assert not gallery.list.visible
+    assert not gallery._links.list.visible
     gallery.refresh()
-    assert eventually(lambda: gallery.list.visible)
+    assert eventually(lambda: gallery._links.list.visible)
     assert len(page.album.drawn) == 4
-    labels = [button.label for button in gallery._buttons if button.visible]
+    labels = [button.label for button in gallery._links._buttons if button.visible]
     assert labels == ["★ 2", "0", "1", "3"]
-    assert all(f'<label for="{button._impl.uuid}"' in gallery.pictures.content for button in gallery._buttons)
+    assert all(f'<label for="{button._impl.uuid}"' in gallery.pictures.content for button in gallery._links._buttons)
     gallery._turn(2)
     page.take(lambda take: take.shot.phi == (2.9,) * 5)
     gallery._turn(99)
@@ -486,7 +486,7 @@ def test_a_gallery_goes_with_its_run_and_says_why_it_can_not_be_drawn(
     written(folder, progress(1))
     page.show(folder)
     page.viewer.gallery.refresh()
-    assert eventually(lambda: page.viewer.gallery.list.visible)
+    assert eventually(lambda: page.viewer.gallery._links.list.visible)
     page.show(make_run(tmp_path / "other", "another"))
     assert page.viewer.gallery.pictures.content == ""
     page.album.refusal = "no such task <here>"

@@ -1,5 +1,6 @@
 """The trainer in reserve: used once, replaced if dead, gone with the server."""
 
+import math
 import time
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 
 from morph_core.history import History
 from studio.new_run import StartRun, prepare_run
-from studio.trainers import Reserve
+from studio.trainers import Reserve, spawn_trainer
 
 TINY = {
     "trajectories": 4,
@@ -55,3 +56,25 @@ def test_the_reserve_goes_with_the_server(tmp_path: Path) -> None:
     reserve.load()
     assert reserve._ready is ready
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "iterations"), [("reacher", 40), ("mouse_click", 12)])
+def test_after_a_tenth_of_a_real_run_it_is_known_how_long_the_rest_takes(
+    tmp_path: Path, task: str, iterations: int
+) -> None:
+    """The tolerance leaves room for a machine whose other work comes and goes, and for a first tenth without an
+    evaluation, of which a hand's takes as long as two iterations."""
+    folder, told = prepare_run(tmp_path, StartRun(task=task, iterations=iterations)), None
+    trainer = spawn_trainer(folder)
+    while trainer.poll() is None:
+        beat = folder.heartbeat()
+        if told is None and beat and beat.iteration > math.ceil(iterations / 10):
+            told = time.monotonic(), beat.eta_seconds, beat.iteration
+        time.sleep(0.02)
+    assert finished(History(folder))
+    assert told is not None
+    began, seconds, iteration = told
+    assert iteration <= iterations / 4
+    print(f"{task}: {seconds:.1f} s were to go, {time.monotonic() - began:.1f} s it took")  # noqa: T201
+    assert seconds == pytest.approx(time.monotonic() - began, rel=0.5)

@@ -1,43 +1,19 @@
 """The viewer on a real viser server, driven through `show`, by its handles, and by a browser's raw messages."""
 
 import math
-import platform
-import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
 import numpy as np
-import psutil
 import pytest
-import viser
-from conftest import NAME, Page, design_of, eventually, make_run
-from websockets.sync.client import connect
-from websockets.sync.connection import Connection
+from conftest import NAME, Page, append, design_of, eventually, make_hand_run, make_run, progress
 
-from morph_core.catalogue import make_task
 from morph_core.protocol import (
-    Acknowledged,
-    AnyEvent,
-    DesignSpaceChanged,
-    Evaluation,
-    Heartbeat,
     InjectDesign,
-    Lock,
-    Pause,
-    Progress,
-    Resume,
-    SetAlpha,
-    SetBound,
-    SetProjection,
     StateChanged,
-    StepIteration,
-    Stop,
-    Unlock,
 )
-from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, write_episode
-from studio.new_run import StartRun, prepare_run
-from studio.viewer.take import Shot, make_take
+from morph_core.run_folder import RunFolder
+from studio.new_run import StartRun
 
 
 @pytest.fixture
@@ -52,38 +28,6 @@ def test_the_viewer_turns_to_an_iteration_and_follows_no_longer(page: Page, fold
     assert (take.shot.episode, page.viewer.timeline.follow.value) == (None, False)
     page.viewer.turn_to(999)
     assert page.viewer.timeline.shown_iteration == 3
-
-
-@pytest.fixture
-def wire(page: Page) -> Iterator[Callable[[viser.GuiInputHandle, object], None]]:
-    """Return a function that sets a value as a browser does: viser checks nothing of it."""
-    address = f"ws://127.0.0.1:{page.server.get_port()}"
-    camera = {
-        "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [0, 0, 5], "fov": 1.0, "near": 0.01,
-        "far": 100.0, "image_height": 600, "image_width": 800, "look_at": [0, 0, 0], "up_direction": [0, 0, 1],
-    }  # fmt: skip
-    with connect(address, subprotocols=["viser-v1.1.1"], max_size=None) as socket:  # pyright: ignore[reportArgumentType]
-        _send(socket, camera)
-        assert eventually(lambda: page.server.get_clients())
-        yield lambda handle, value: _send(
-            socket, {"type": "GuiUpdateMessage", "uuid": handle._impl.uuid, "updates": {"value": value}}
-        )
-
-
-def _send(socket: Connection, message: dict[str, object]) -> None:
-    socket.send(msgspec.msgpack.encode(message))
-
-
-def append(folder: RunFolder, *events: AnyEvent) -> None:
-    log = EventLog(folder)
-    for event in events:
-        log.append(event)
-    log.close()
-
-
-def progress(iteration: int, **values: object) -> Progress:
-    known = {"env_steps": 100, "phi": [2.0] * 5, "episode_return": -1.0, "success": 0.0, "policy_std": 0.5}
-    return Progress(iteration=iteration, **(known | values))  # pyright: ignore[reportArgumentType]
 
 
 # --- without a run ---
@@ -118,6 +62,7 @@ def test_start_asks_for_what_the_form_says_and_opens_the_run(page: Page) -> None
 
 
 def test_another_tunnel_is_seen_before_the_start(page: Page) -> None:
+    page.viewer.show({}, {}, None)
     page.take()
     page.viewer.start.options["reacher"]["tunnel"].value = "paper"
     assert len(page.take(lambda take: len(take.scenery) > 5).scenery) == 9
@@ -260,318 +205,6 @@ def test_an_unknown_run_is_said_to_be_unknown(page: Page, folder: RunFolder, mon
     assert not page.viewer.run.pause.visible
 
 
-# --- steering ---
-
-
-def test_buttons_follow_the_status(page: Page, folder: RunFolder) -> None:
-    run = page.viewer.run
-    for status, pause, resume, more in (
-        ("running", True, False, True),
-        ("paused", False, True, True),
-        ("pausing", True, True, True),
-        ("finished", False, False, False),
-        ("failed", False, True, False),
-        ("lost", False, True, False),
-        ("stopped", False, True, False),
-        ("queued", False, False, True),  # Stop takes it out of the queue
-    ):
-        page.show(folder, status)  # pyright: ignore[reportArgumentType]
-        assert (run.pause.visible, run.resume.visible, run.more.visible) == (pause, resume, more), status
-
-
-def test_another_kind_of_processor_is_said_on_the_panel(page: Page, folder: RunFolder) -> None:
-    log = EventLog(folder)
-    for model in ("EPYC", "<Xeon>"):
-        assert "begun on" not in page.viewer.run.state.content
-        log.append(StateChanged(status="starting", iteration=3, processor=model, instruction_set="AVX2"))
-        page.show(folder, "running")
-    assert "begun on EPYC, AVX2, went on from iteration 3 on &lt;Xeon&gt;, AVX2" in page.viewer.run.state.content
-
-
-def test_a_run_with_a_budget_shows_how_much_of_it_is_spent(page: Page, tmp_path: Path) -> None:
-    folder = prepare_run(tmp_path, StartRun(task="reacher", iterations=9000, env_steps=800_000))
-    page.show(folder, "queued")
-    assert "iteration <b>0</b></div>" in page.viewer.run.state.content, "nobody knows yet of how many"
-    me = psutil.Process()
-    HeartbeatFile(folder).write(
-        Heartbeat(platform.node(), me.pid, me.create_time(), time.time(), "running", "learning", 3, 12)
-    )
-    log = EventLog(folder)
-    log.append(StateChanged(status="running", iteration=0))
-    log.append(
-        Progress(
-            iteration=3, env_steps=200_000, phi=[1.0] * 5, episode_return=0, success=0, policy_std=1,
-            relabelled_steps=1024, search_steps=2048,
-        )
-    )  # fmt: skip
-    page.show(folder, "running")
-    assert "iteration <b>3</b> of about 12" in page.viewer.run.state.content
-    assert page.viewer.run.bar.value == 25.0
-    for shown in ("200.0 k of 800.0 k", "steps for relabelling", "1.0 k", "steps for the search", "2.0 k"):
-        assert shown in page.viewer.run.numbers.content
-    page.show(folder, "finished")
-    assert "about" not in page.viewer.run.state.content
-
-
-def test_resume_orders_a_waiting_trainer_and_restarts_a_gone_one(page: Page, folder: RunFolder) -> None:
-    page.show(folder, "paused")
-    page.viewer.run.go_on(None)
-    assert page.commands == [(NAME, Resume())]
-    for status in ("stopped", "failed", "lost"):
-        page.show(folder, status)  # pyright: ignore[reportArgumentType]
-        page.viewer.run.go_on(None)
-    assert page.resumed == [NAME] * 3
-    assert len(page.commands) == 1
-
-
-def test_step_stop_and_hotkeys_send_their_commands(page: Page, folder: RunFolder) -> None:
-    page.show(folder, "running")
-    page.viewer.run.ask("Step", None)
-    page.viewer.run.ask("Stop", None)
-    page.viewer.run.ask("<no such button>", None)
-    page.viewer.run.toggle(None)
-    assert [command for _, command in page.commands] == [StepIteration(), Stop(), Pause()]
-    hotkeys = {command.hotkey for command in page.server.gui._command_handle_from_uuid.values()}
-    assert {"P", "K", "L", "space"} <= hotkeys
-
-
-def test_steering_sends_only_what_was_changed(page: Page, folder: RunFolder) -> None:
-    page.show(folder, "running")
-    steer = page.viewer.steer
-    steer.form.submit()
-    assert page.commands == []
-    steer.alpha.value = 2.0
-    steer.form.submit()
-    steer.alpha.value = 1.0
-    steer.projection.value = "one_sided"
-    steer.form.submit()
-    assert [c for _, c in page.commands] == [SetAlpha(2.0), SetProjection("one_sided")]
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("alpha", math.nan), ("alpha", math.inf), ("alpha", -0.1), ("projection", "sideways")]
-)
-def test_bad_steering_values_send_nothing(page: Page, folder: RunFolder, name: str, value: object) -> None:
-    page.show(folder, "running")
-    getattr(page.viewer.steer, name)._impl.value = value
-    page.viewer.steer.form.submit()
-    assert page.commands == []
-    assert name in page.viewer.notice.content
-
-
-def test_alpha_that_was_accepted_is_in_force_before_the_next_iteration(page: Page, folder: RunFolder) -> None:
-    page.show(folder, "paused")
-    append(folder, Acknowledged(id=1, iteration=3, accepted=True, command=SetAlpha(4.0)))
-    page.show(folder, "paused")
-    assert page.viewer.steer.alpha.value == 4.0
-
-
-def test_what_somebody_types_into_the_steering_form_stays_until_something_changes(
-    page: Page, folder: RunFolder
-) -> None:
-    page.show(folder, "paused")
-    page.viewer.steer.alpha.value = 7.0
-    page.show(folder, "paused")
-    assert page.viewer.steer.alpha.value == 7.0
-    append(folder, Acknowledged(id=1, iteration=3, accepted=True, command=SetProjection("one_sided")))
-    page.show(folder, "paused")
-    assert (page.viewer.steer.alpha.value, page.viewer.steer.projection.value) == (1.0, "one_sided")
-
-
-def test_the_design_form_sends_bounds_and_locks_together(page: Page, folder: RunFolder) -> None:
-    page.show(folder, "running")
-    rows = page.viewer.design.rows
-    rows["link_2"].bounds.value = (0.5, 3.0)
-    rows["link_3"].locked.value = True
-    rows["link_3"].value.value = 1.5
-    _submit_design(page)
-    assert [c for _, c in page.commands] == [SetBound("link_2", 0.5, 3.0), Lock("link_3", 1.5)]
-
-
-def test_a_lock_is_shown_and_undone(page: Page, folder: RunFolder) -> None:
-    history = page.show(folder, "running")
-    space = history.design_space.with_lock("link_3", 1.5)
-    append(folder, DesignSpaceChanged(iteration=3, parameters=list(space.parameters)))
-    page.show(folder, "running")
-    row = page.viewer.design.rows["link_3"]
-    assert row.locked.value
-    assert row.value.value == 1.5
-    assert "locked" in str(row.folder.label)
-    row.locked.value = False
-    _submit_design(page)
-    assert page.commands == [(NAME, Unlock("link_3"))]
-
-
-@pytest.mark.parametrize(
-    ("bounds", "lock", "sentence"),
-    [
-        ((3.0, 2.0), None, "lower bound of link_1 must be below the upper one"),
-        ((math.nan, 2.0), None, "bounds of link_1 must be finite"),
-        ((0.5, math.inf), None, "bounds of link_1 must be finite"),
-        ((0.0, 9.0), None, "must lie inside [0.05, 5] m"),
-        (None, 9.0, "link_1 must lie inside"),
-        (None, math.nan, "link_1 must be finite"),
-    ],
-)
-def test_bad_design_values_send_nothing_not_even_the_good_ones(
-    page: Page, folder: RunFolder, bounds: tuple[float, float] | None, lock: float | None, sentence: str
-) -> None:
-    page.show(folder, "running")
-    rows = page.viewer.design.rows
-    rows["link_2"].bounds.value = (0.5, 3.0)
-    if bounds is not None:
-        rows["link_1"].bounds._impl.value = bounds
-    if lock is not None:
-        rows["link_1"].locked.value = True
-        rows["link_1"].value._impl.value = lock
-    _submit_design(page)
-    assert page.commands == []
-    assert sentence in page.viewer.notice.content
-
-
-def test_what_somebody_edits_survives_the_next_update(page: Page, folder: RunFolder) -> None:
-    page.show(folder, "running")
-    page.viewer.design.rows["link_2"].bounds.value = (0.5, 3.0)
-    append(folder, progress(4))
-    page.show(folder, "running")
-    assert page.viewer.design.rows["link_2"].bounds.value == (0.5, 3.0)
-    assert str(page.viewer.design.rows["link_2"].folder.label).startswith("link_2: 2.000 m")
-
-
-def test_a_refused_command_is_told_and_changes_nothing(page: Page, folder: RunFolder) -> None:
-    page.show(folder, "running")
-    page.refusal = "the inbox is full"
-    page.viewer.run.toggle(None)
-    assert "the inbox is full" in page.viewer.notice.content
-    assert "asked" not in page.viewer.run.log.content
-
-
-def test_each_command_is_acknowledged_with_its_iteration(page: Page, folder: RunFolder) -> None:
-    page.show(folder, "running")
-    page.viewer.design.rows["link_2"].bounds.value = (0.5, 3.0)
-    _submit_design(page)
-    assert "bound of link_2 set to [0.5, 3] m: asked" in page.viewer.run.log.content
-    append(
-        folder,
-        Acknowledged(id=1, iteration=42, accepted=True, command=SetBound("link_2", 0.5, 3.0)),
-        Acknowledged(id=2, iteration=42, accepted=False, command=Lock("link_9"), message="unknown <b>link_9"),
-    )
-    page.show(folder, "running")
-    log = page.viewer.run.log.content
-    assert "bound of link_2 set to [0.5, 3] m, in force from iteration 43" in log
-    assert "refused: unknown &lt;b&gt;link_9" in log
-    assert "asked" not in log
-
-
-def _submit_design(page: Page) -> None:
-    form = page.viewer.design._form
-    assert form is not None
-    form.submit()
-
-
-# --- playback ---
-
-
-@pytest.fixture
-def episode(folder: RunFolder) -> RunFolder:
-    """A run whose newest episode touches a wall in its second step and the goal in its last one."""
-    task = make_task("reacher")
-    qpos = np.tile(np.array(task.reset(task.hw_phy(np.full(5, 2.0)), 1, np.random.default_rng(0))[0, :5]), (5, 1))
-    contact = np.full((4, 3), np.nan)
-    contact[1] = (2.4, 4.7, 0.0)
-    name = write_episode(
-        folder, 4,
-        {"qpos": qpos, "phi": np.full(5, 2.0), "contact": contact, "success": np.array([False, False, False, True])},
-    )  # fmt: skip
-    numbers = dict.fromkeys(("sampled_return", "deterministic_success", "deterministic_return"), 0.0)
-    append(
-        folder,
-        progress(4),
-        Evaluation(iteration=4, env_steps=400, phi=[2.0] * 5, sampled_success=1.0, episode=name, **numbers),
-    )
-    return folder
-
-
-def test_a_wall_lights_up_where_it_is_hit_and_the_goal_when_it_is_touched(episode: RunFolder) -> None:
-    take = make_take(Shot("reacher", (), (2.0,) * 5, episode=(episode, 4)))
-    names = take.scenery.names
-    lit = [
-        {names[i] for i in np.flatnonzero((take.scenery_colours(f) != take.scenery.colours).any(1))}
-        for f in range(take.frames)
-    ]
-    assert take.frames == 13
-    assert lit[0] == lit[5] == set()
-    assert lit[6] == {"wall_upper_1"}
-    assert lit[-1] == {"goal", "wall_upper_1"}
-    np.testing.assert_allclose(take.contact[6], [[2.4, 4.7, 0.0]])
-    assert np.isnan(take.contact[5]).all()
-
-
-def test_follow_shows_the_latest_episode_and_a_choice_stays(page: Page, folder: RunFolder, episode: RunFolder) -> None:
-    del folder
-    page.show(episode)
-    page.take(lambda take: take.shot.episode == (episode, 4))
-    page.viewer.timeline._jump("first")
-    page.take(lambda take: take.shot.episode == (episode, 3))
-    assert not page.viewer.timeline.follow.value
-    page.show(episode)
-    assert page.viewer.timeline.shown_iteration == 3
-    page.viewer.timeline.toggle_follow()
-    page.take(lambda take: take.shot.episode == (episode, 4))
-
-
-def test_an_iteration_without_an_episode_stands_and_says_so(page: Page, episode: RunFolder) -> None:
-    page.show(episode)
-    page.viewer.timeline.follow.value = False
-    page.viewer.timeline.iteration.value = 1
-    page.viewer.looks.trail.value = True
-    page.show(episode)
-    take = page.take(lambda take: take.shot.phi == (2.9,) * 5)
-    assert take.frames == 1
-    assert "no episode was recorded (the nearest one is of iteration 3)" in page.viewer.timeline.what.content
-
-
-def test_continue_from_this_design_injects_it(page: Page, episode: RunFolder) -> None:
-    page.show(episode, "running")
-    page.viewer.timeline._jump("first")
-    page.show(episode, "running")
-    assert page.viewer.timeline.inject.visible
-    page.viewer._inject(page.viewer.timeline._chosen_phi, None)
-    assert page.commands == [(NAME, InjectDesign([2.7] * 5))]
-
-
-def test_playback_pauses_seeks_and_loops(
-    page: Page, episode: RunFolder, wire: Callable[[viser.GuiInputHandle, object], None]
-) -> None:
-    page.show(episode)
-    page.take(lambda take: take.frames == 13)
-    playback, player = page.viewer.playback, page.viewer.player
-    assert eventually(lambda: playback.time.value > 0)  # it plays while somebody watches
-    wire(playback.time, 0.19)  # not the 0.2 s of the first report: viser passes on changes only
-    assert eventually(lambda: not player.playing)
-    assert eventually(lambda: player._robot._instant == 6)
-    assert playback.play.label == "Play"
-    assert player._contact.node_names == ["/contact/sphere"]
-
-
-def test_values_from_the_wire_beyond_their_slider_are_refused(
-    page: Page, episode: RunFolder, wire: Callable[[viser.GuiInputHandle, object], None]
-) -> None:
-    page.show(episode)
-    page.take(lambda take: take.frames == 13)
-    timeline, playback = page.viewer.timeline, page.viewer.playback
-    wire(playback.speed, 99.0)
-    assert eventually(lambda: "speed must lie inside [0.1, 4]" in page.viewer.notice.content)
-    assert playback.speed.value == 1.0
-    wire(timeline.iteration, 4000)
-    assert eventually(lambda: "there is no iteration 4000; choose 0 to 4" in page.viewer.notice.content)
-    assert timeline.shown_iteration == 4
-    wire(playback.time, math.nan)
-    assert eventually(lambda: "time must lie inside" in page.viewer.notice.content)
-    assert page.viewer.player.take is not None
-    assert page.commands == []
-
-
 # --- export ---
 
 
@@ -592,6 +225,30 @@ def test_the_chosen_design_is_exported_in_the_chosen_formats(page: Page, folder:
         (NAME, "best", everything), (NAME, "latest", everything), (NAME, "2", ["urdf", "stl"]),
     ]  # fmt: skip
     assert not export.notice.visible
+
+
+def test_a_servo_is_chosen_where_the_robot_takes_servos(page: Page, folder: RunFolder, tmp_path: Path) -> None:
+    export, hand = page.viewer.export, make_hand_run(tmp_path / "hands", "pen_press")
+    page.show(folder)
+    assert not export.servo.visible
+    page.show(hand)
+    assert export.servo.visible
+    export.submit()
+    export.servo.value = "XM430-W350"
+    assert not export.download.visible  # it was prepared without one
+    export.submit()
+    assert page.servos == ["XM430-W350"]
+
+
+def test_a_printer_is_asked_for_only_by_who_prints_on_another(page: Page, folder: RunFolder) -> None:
+    page.show(folder)
+    export = page.viewer.export
+    for word in ("prusa_xl", " 300x300x400 ", "", "256x256x256"):
+        export.printer.value = word
+        export.submit()
+    export.printer.value, export.formats["3mf"].value = "prusa_xl", False
+    export.submit()
+    assert page.printers == ["prusa_xl", "300x300x400", None, None, None]
 
 
 def test_what_was_compared_is_shown_and_a_change_of_mind_takes_it_away(page: Page, folder: RunFolder) -> None:

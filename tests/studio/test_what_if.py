@@ -329,8 +329,8 @@ def test_the_command_measures_another_design_and_along_each_parameter(history: H
 
 
 def test_the_command_says_a_sweep_in_a_table(history: History) -> None:
-    done = evaluate(str(history.folder.path), "--sensitivity", "--episodes", "1")
+    done = evaluate(str(history.folder.path), "--sensitivity", "--episodes", "1", "--policy", "deterministic")
     lines = [line for line in done.stdout.splitlines() if line.strip()]
     assert len(lines) == 1 + 5 * POINTS + 1
     assert lines[1].startswith("link_1")
-    assert lines[-1] == "sampled policy, 1 episodes on Hw-Phy at each value"
+    assert lines[-1] == "deterministic policy, 1 episodes on Hw-Phy at each value"

@@ -183,6 +183,29 @@ def test_a_drag_or_stop_ends_a_sweep(page: Page, panel: WhatIfPanel) -> None:
         page.answers.patience = 0.0
 
 
+def test_the_policy_is_tried_as_somebody_chooses_on_both_bodies(page: Page, panel: WhatIfPanel) -> None:
+    drag(panel, 0, 4.0)
+    click(panel.sweep)
+    assert eventually(lambda: panel.sweep.visible and panel.legend.visible)
+    panel.policy.value = "deterministic"
+    panel._choose_policy(None)
+    assert not panel.legend.visible  # it was drawn of the other policy
+    assert not any(row.curves.visible for row in panel._rows)
+    assert eventually(lambda: [wish.policy for wish in page.answers.asked].count("deterministic") == 2)
+    changed, recorded = page.answers.asked[-2:]
+    assert (changed.phi, recorded.phi) == ([4.0, 2.7, 2.7, 2.7, 2.7], None)
+    assert eventually(lambda: "deterministic policy" in panel.result.content)
+    click(panel.sweep)
+    assert eventually(lambda: "deterministic policy, 32 episodes" in panel.legend.content)
+
+
+def test_a_policy_that_is_none_is_refused(page: Page, panel: WhatIfPanel) -> None:
+    panel.policy.value = "lucky"
+    panel._choose_policy(None)
+    assert "choose from: sampled, deterministic" in page.viewer.notice.content
+    assert panel.policy.value == "sampled"
+
+
 def test_a_hand_has_sliders_in_centimetres_and_degrees(page: Page, tmp_path: Path) -> None:
     folder = make_hand_run(tmp_path / "runs", "pen_press")
     history = page.show(folder)

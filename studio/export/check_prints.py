@@ -1,0 +1,112 @@
+"""Whether print files are fit to print: each part as often as needed, inside the printer, and none over another."""
+
+import csv
+import io
+import itertools
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from manifold3d import Manifold, Mesh64
+
+from studio.export.check import Check
+from studio.export.coupon import NAME as COUPON
+from studio.export.design_file import PartEntry
+from studio.export.pieces import piece_names
+from studio.export.plates import FOLDER, PIECES
+from studio.export.printers import printer_of
+from studio.robots.parts import MILLIMETRE
+
+Surface = tuple[np.ndarray, np.ndarray]
+"""A closed surface: vertices (V, 3) m and faces (F, 3)."""
+OFF_ALLOWED = 1e-6
+"""Largest distance (mm) by which a body may reach out of the printer, and area (mm^2) that may lie over another."""
+
+
+def check_part_file(path: str, content: bytes, part: PartEntry) -> tuple[dict[str, Surface], Check]:
+    """Return the surfaces of a part's 3MF as trimesh reads it, and the check of what else that says of it.
+
+    There is one, whose name is the path, or one for each piece of a part that is printed in several.
+    """
+    scene = _read(content)
+    names = piece_names(part.name, len(scene.geometry))
+    copies = Counter(scene.graph[node][1] for node in scene.graph.nodes_geometry)
+    sound = copies == dict.fromkeys(names, len(part.links)) and scene.units == "millimeter"
+    said = f"{', '.join(f'{count} x {name}' for name, count in copies.items())} in {scene.units}"
+    surfaces = {
+        path if len(names) == 1 else f"{path} {name}": (mesh.vertices * MILLIMETRE, np.asarray(mesh.faces))
+        for name, mesh in scene.geometry.items()
+    }
+    return surfaces, Check(f"{path}: quantity, name and unit", float(not sound), 0.0, said)
+
+
+def check_plates(files: Mapping[str, bytes], parts: Sequence[PartEntry]) -> list[Check]:
+    """Check the plates of a bundle, and how the parts lie in their own files; a part with a problem is on no plate."""
+    rows = {row["piece"]: row for row in csv.DictReader(io.StringIO(files[PIECES].decode()))}
+    checks: list[Check] = []
+    found: Counter[str] = Counter()
+    size = printer_of(next(iter(rows.values()))["printer"]).size
+    for path in sorted(path for path in files if path.startswith(f"{FOLDER}/") and path.endswith(".3mf")):
+        bodies = _placed(files[path])
+        found.update(name for name, _ in bodies)
+        checks.append(Check(f"{path}: inside the printer (mm)", _outside([b for _, b in bodies], size), OFF_ALLOWED))
+        checks.append(Check(f"{path}: none over another (mm^2)", _covered([b for _, b in bodies]), OFF_ALLOWED))
+    for part in parts:
+        if (path := f"3mf/{part.name}.3mf") in files:
+            out = _outside([body for _, body in _placed(files[path])], (math.inf,) * 3)
+            checks.append(Check(f"{path}: lies on the bed (mm)", out, OFF_ALLOWED))
+    wrong = list(_miscounted(rows, found, parts))
+    checks.append(Check("plates: each piece as often as needed", float(len(wrong)), 0.0, ", ".join(wrong[:3])))
+    return checks
+
+
+def _miscounted(
+    rows: Mapping[str, Mapping[str, str]], found: Mapping[str, int], parts: Sequence[PartEntry]
+) -> Iterator[str]:
+    """Yield the bodies of which there are more or fewer on the plates than the robot needs."""
+    expected = {COUPON: 1} if COUPON in rows else {}
+    for part in parts:
+        own = [name for name in rows if re.fullmatch(rf"{re.escape(part.name)}(_\d+of\d+)?", name)]
+        if own != piece_names(part.name, len(own)):
+            yield f"{part.name} is not in {PIECES} as one part or as its pieces"
+        expected |= {name: 0 if rows[name]["problem"] else len(part.links) for name in own}
+    for name in sorted(expected.keys() | found.keys()):
+        if found.get(name, 0) != expected.get(name, 0):
+            yield f"{found.get(name, 0)} x {name} instead of {expected.get(name, 0)}"
+
+
+def _read(content: bytes) -> Any:
+    """Return a 3MF as a scene of trimesh."""
+    import trimesh  # slow to load, and a server must start fast
+
+    return trimesh.load_scene(io.BytesIO(content), file_type="3mf")
+
+
+def _placed(content: bytes) -> list[tuple[str, Manifold]]:
+    """Return the bodies of a 3MF as they lie on the bed, in mm, with their names."""
+    scene = _read(content)
+    bodies = []
+    for node in scene.graph.nodes_geometry:
+        pose, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        solid = Manifold(Mesh64(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.uint64)))
+        bodies.append((name, solid.transform(pose[:3])))
+    return bodies
+
+
+def _outside(bodies: Sequence[Manifold], size: Sequence[float]) -> float:
+    """Return how far (mm) bodies reach out of the room above a bed, or begin above it."""
+    out = 0.0
+    for body in bodies:
+        low, high = np.array(body.bounding_box()).reshape(2, 3)
+        out = max(out, float((high - size).max()), float(-low.min()), float(low[2]))
+    return out
+
+
+def _covered(bodies: Sequence[Manifold]) -> float:
+    """Return the area (mm^2) of the bed that is under more than one body."""
+    shadows = [body.project() for body in bodies]
+    return sum((one ^ other).area() for one, other in itertools.combinations(shadows, 2))

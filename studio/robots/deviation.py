@@ -1,0 +1,280 @@
+"""How far the prints of a robot are from the collision shapes with which it is simulated."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from studio.robots import geometry
+from studio.robots.parts import MILLIMETRE, Part, body_of
+
+CHUNK = 100
+"""Number of points that are measured at once."""
+NEAREST = 6
+"""Number of triangles that are tried first, before those that can be nearer."""
+ANGLES = 33
+"""Number of angles of a joint at which its two shapes are tried."""
+PROMISED = 1.0
+"""mm: prints are no farther from the shapes, but for joints that have no room."""
+NEAR = 0.5
+"""mm: points that are nearer to their own link's print are not compared with its neighbours'."""
+TOUCHING = 1e-6
+"""mm: points as far inside a shape are on its surface."""
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Distances in mm between the outer surface of the prints and the collision shapes, in one posture.
+
+    Holes count as filled, for pins, bolts, cables and servos fill them. Left out are the crotches of the joints: what
+    of a shape is outside the ball of a joint and is reached by the neighbour's shape in another posture. Two shapes
+    may be in one place, two prints may not. So is what a part covers that has no collision shape: the arm's foot.
+    """
+
+    outside_max: float
+    """How far prints reach out of the shapes."""
+    outside_95: float
+    """The distance that 95 % of the prints' surface keeps: how far it is out of the shapes, 0 inside."""
+    inside_max: float
+    """How far the shapes' surface is from the prints, outside the crotches."""
+    inside_95: float
+    """The distance that 95 % of that surface keeps."""
+    crotch_max: float
+    """How far the shapes' surface is from the prints in the crotches."""
+    crotch_share: float
+    """What share of the shapes' surface that is (no unit)."""
+
+    @property
+    def words(self) -> str:
+        """The distances as a paragraph."""
+        thinner = " Joints of short links, and those under servos, are thinner than their shapes."
+        return (
+            f"The prints follow the collision shapes: they reach out of them by at most {self.outside_max:.2f} mm, "
+            f"and the shapes' surface is at most {self.inside_max:.2f} mm from them, {self.inside_95:.2f} mm for 95 % "
+            f"of it. Left out are the crotches of the joints, {self.crotch_share:.0%} of the surface and up to "
+            f"{self.crotch_max:.1f} mm away: there two shapes are in one place when the joint folds, as two prints "
+            "can't be. Holes count as filled by their pins, bolts and servos."
+            f"{thinner if self.inside_max > PROMISED else ''}"
+        )
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """A capsule, or a cylinder, along z of its frame; in mm."""
+
+    round_ends: bool
+    radius: float
+    half: float
+    rotation: np.ndarray  # (3, 3): from the shape's frame to its link's
+    position: np.ndarray  # (3,)
+
+    def depth(self, points: np.ndarray) -> np.ndarray:
+        """Return how far points (N, 3) in the link's frame are out of the shape; negative inside."""
+        x, y, z = ((points - self.position) @ self.rotation).T
+        across = np.hypot(x, y)
+        if self.round_ends:
+            return np.hypot(across, np.maximum(np.abs(z) - self.half, 0)) - self.radius
+        out = np.stack([across - self.radius, np.abs(z) - self.half])
+        return np.hypot(*np.maximum(out, 0)) + np.minimum(out.max(0), 0)
+
+    @property
+    def area(self) -> float:
+        ends = 4 if self.round_ends else 2
+        return 4 * np.pi * self.radius * self.half + ends * np.pi * self.radius**2
+
+    def sample(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return points (count, 3) of the surface in the link's frame, evenly spread."""
+        side = rng.uniform(size=count) < 4 * np.pi * self.radius * self.half / self.area
+        end = rng.choice([-1.0, 1.0], count)
+        angle = rng.uniform(-np.pi, np.pi, count)
+        # A hemisphere by its height, a disc by its radius: both are even in u.
+        u = rng.uniform(size=count)
+        across = np.where(side, 1.0, np.sqrt(1 - u**2) if self.round_ends else np.sqrt(u))
+        beyond = u * self.radius if self.round_ends else 0.0
+        along = np.where(side, self.half * rng.uniform(-1, 1, count), end * (self.half + beyond))
+        local = np.stack([self.radius * across * np.cos(angle), self.radius * across * np.sin(angle), along], 1)
+        return local @ self.rotation.T + self.position
+
+
+class _Print:
+    """A part with its holes filled, in its own frame."""
+
+    def __init__(self, part: Part) -> None:
+        if part.drilled is None:
+            raise ValueError(f"{part.name} was not drawn for a printer")
+        vertices, faces = geometry.mesh(part.drilled.body)
+        self._corners = vertices[faces]  # (F, 3, 3) mm
+        self._low, self._high = self._corners.min(1), self._corners.max(1)
+
+    def sample(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return points (count, 3) of the surface, evenly spread."""
+        a, b, c = np.moveaxis(self._corners, 1, 0)
+        areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        on = rng.choice(len(areas), count, p=areas / areas.sum())
+        u, v = rng.uniform(size=(2, count, 1))
+        u, v = np.where(u + v > 1, [1 - u, 1 - v], [u, v])
+        return a[on] + u * (b - a)[on] + v * (c - a)[on]
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return how far points (N, 3) are from the surface."""
+        found = [self._distance(points[i : i + CHUNK]) for i in range(0, len(points), CHUNK)]
+        return np.concatenate([np.zeros(0), *found])
+
+    def encloses(self, points: np.ndarray) -> np.ndarray:
+        """Tell which points (N, 3) are inside: from there the surface is seen all round."""
+        a, b, c = np.moveaxis(self._corners[None] - points[:, None, None], 2, 0)  # (N, F, 3) each
+        length_a, length_b, length_c = (np.linalg.norm(corner, axis=2) for corner in (a, b, c))
+        volume = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
+        products = [np.einsum("nfi,nfi->nf", *pair) for pair in ((a, b), (b, c), (c, a))]
+        flat = length_a * length_b * length_c + np.sum(
+            [product * length for product, length in zip(products, (length_c, length_a, length_b), strict=True)], axis=0
+        )
+        return 2 * np.arctan2(volume, flat).sum(1) > 2 * np.pi
+
+    def _distance(self, points: np.ndarray) -> np.ndarray:
+        # No triangle is nearer than the box round it.
+        at_least = np.zeros((len(points), len(self._low)))
+        for axis in range(3):
+            x = points[:, axis, None]
+            at_least += np.maximum(np.maximum(self._low[:, axis] - x, x - self._high[:, axis]), 0) ** 2
+        nearest = np.argpartition(at_least, NEAREST, axis=1)[:, :NEAREST]
+        apart = self._apart(points.repeat(NEAREST, axis=0), nearest.ravel()).reshape(-1, NEAREST).min(1)
+        of_point, face = np.nonzero(at_least < apart[:, None] ** 2)
+        np.minimum.at(apart, of_point, self._apart(points[of_point], face))
+        return apart
+
+    def _apart(self, points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        """Return how far each point (N, 3) is from its face (N,)."""
+        from trimesh.triangles import closest_point
+
+        return np.linalg.norm(closest_point(self._corners[faces], points) - points, axis=1)
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """Where a link is."""
+
+    rotation: np.ndarray  # (3, 3)
+    position: np.ndarray  # (3,) mm
+
+    def to_world(self, points: np.ndarray) -> np.ndarray:
+        return points @ self.rotation.T + self.position
+
+    def to_link(self, points: np.ndarray) -> np.ndarray:
+        return (points - self.position) @ self.rotation
+
+
+def deviation(
+    model: mujoco.MjModel, parts: Sequence[Part], qpos: np.ndarray | None = None, points: int = 400, seed: int = 0
+) -> Deviation:
+    """Return how far printed parts are from the collision shapes of their robot's model.
+
+    Measured in posture `qpos` (nq,), or at the start, at `points` random points of every link.
+    """
+    rng = np.random.default_rng(seed)
+    links = [(body_of(model, link), part) for part in parts for link in part.links]
+    drawn = {part.name: _Print(part) for part in parts}
+    prints = {body: drawn[part.name] for body, part in links}
+    shapes = {body: _shapes(model, body) for body in prints}
+    poses = _poses(model, _start(model) if qpos is None else qpos)
+    outside, inside, crotch = [], [], []
+    for body in sorted(body for body in prints if shapes[body]):
+        near = [body, *(other for other in prints if _joint_between(model, body, other) is not None)]
+        surface = poses[body].to_world(prints[body].sample(points, rng))
+        outside.append(np.min([_depth(shapes[o], poses[o].to_link(surface)) for o in near], axis=0))
+        local = _sample(shapes[body], points, rng)
+        world = poses[body].to_world(local)
+        others = [_depth(shapes[o], poses[o].to_link(world)) for o in shapes if o != body]
+        seen = np.min(others, axis=0, initial=0.0) > -TOUCHING
+        local, world = local[seen], world[seen]
+        apart = prints[body].distance(local)
+        for other in near[1:]:
+            off = apart > NEAR  # a neighbour's print may be there instead
+            apart[off] = np.minimum(apart[off], prints[other].distance(poses[other].to_link(world[off])))
+        left_out = np.zeros(len(local), dtype=bool)
+        for other in near[1:]:
+            left_out |= _in_crotch(model, body, other, shapes[other], local)
+            if not shapes[other]:
+                left_out |= prints[other].encloses(poses[other].to_link(world))
+        inside.append(apart[~left_out])
+        crotch.append(apart[left_out])
+    out, gap, left = np.maximum(np.concatenate(outside), 0), np.concatenate(inside), np.concatenate(crotch)
+    return Deviation(
+        float(out.max()), float(np.quantile(out, 0.95)), float(gap.max()), float(np.quantile(gap, 0.95)),
+        float(left.max(initial=0.0)), len(left) / (len(left) + len(gap)),
+    )  # fmt: skip
+
+
+def _start(model: mujoco.MjModel) -> np.ndarray:
+    return model.key_qpos[0] if model.nkey else model.qpos0
+
+
+def _shapes(model: mujoco.MjModel, body: int) -> list[_Shape]:
+    """Return the collision shapes of a body; ValueError for one that is neither a capsule nor a cylinder."""
+    found: list[_Shape] = []
+    for geom in range(int(model.body_geomadr[body]), int(model.body_geomadr[body] + model.body_geomnum[body])):
+        if not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
+            continue
+        kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+        if kind not in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
+            raise ValueError(f"{model.geom(geom).name} is neither a capsule nor a cylinder")
+        radius, half, _ = (float(size) / MILLIMETRE for size in model.geom_size[geom])
+        position = model.geom_pos[geom] / MILLIMETRE
+        round_ends = kind == mujoco.mjtGeom.mjGEOM_CAPSULE
+        found.append(_Shape(round_ends, radius, half, _matrix(model.geom_quat[geom]), position))
+    return found
+
+
+def _depth(shapes: Sequence[_Shape], points: np.ndarray) -> np.ndarray:
+    """Return how far points (N, 3) are out of the union of shapes, in their link's frame."""
+    return np.min([np.full(len(points), np.inf), *(shape.depth(points) for shape in shapes)], axis=0)
+
+
+def _sample(shapes: Sequence[_Shape], count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return points (count, 3) of the surfaces of a link's shapes, evenly spread."""
+    areas = np.array([shape.area for shape in shapes])
+    counts = rng.multinomial(count, areas / areas.sum())
+    return np.concatenate([shape.sample(int(n), rng) for shape, n in zip(shapes, counts, strict=True)])
+
+
+def _matrix(quaternion: np.ndarray) -> np.ndarray:
+    flat = np.zeros(9)
+    mujoco.mju_quat2Mat(flat, quaternion)
+    return flat.reshape(3, 3)
+
+
+def _poses(model: mujoco.MjModel, qpos: np.ndarray) -> list[_Pose]:
+    """Return where each body is in a posture."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return [_Pose(data.xmat[b].reshape(3, 3).copy(), data.xpos[b] / MILLIMETRE) for b in range(model.nbody)]
+
+
+def _joint_between(model: mujoco.MjModel, one: int, other: int) -> int | None:
+    """Return the body of the two that turns on the other; None where neither does."""
+    if one == other:
+        return None
+    return next((c for c, p in ((one, other), (other, one)) if model.body_parentid[c] == p), None)
+
+
+def _in_crotch(
+    model: mujoco.MjModel, body: int, other: int, shapes: Sequence[_Shape], points: np.ndarray
+) -> np.ndarray:
+    """Tell which points (N, 3) in a body's frame are outside the ball of its joint with another, but reached by it."""
+    child = _joint_between(model, body, other)
+    assert child is not None
+    joint = int(model.body_jntadr[child])
+    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-geometry.ARM.fold, geometry.ARM.fold)
+    pin = model.body_pos[child] / MILLIMETRE
+    ball = float(model.geom_size[model.body_geomadr[child], 0]) / MILLIMETRE
+    reached = np.zeros(len(points), dtype=bool)
+    spare = 2 * geometry.MARGIN
+    for angle in np.linspace(low - spare, high + spare, ANGLES):
+        turn = np.zeros(4)
+        mujoco.mju_axisAngle2Quat(turn, model.jnt_axis[joint], angle)
+        pose = _Pose(_matrix(model.body_quat[child]) @ _matrix(turn), pin)
+        reached |= _depth(shapes, pose.to_link(points) if child == other else pose.to_world(points)) < 0
+    centre = pin if child == other else np.zeros(3)
+    return reached & (np.linalg.norm(points - centre, axis=1) > ball + TOUCHING)

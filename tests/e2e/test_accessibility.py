@@ -1,0 +1,76 @@
+"""axe finds nothing serious on our pages, and in the viewer nothing but what is viser's own and listed."""
+
+import re
+from pathlib import Path
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Frame, Page, expect
+from served import Server
+
+from tests.studies import Made, write_study
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
+
+GRAVE = ("serious", "critical")
+LISTED = Path(__file__).resolve().parents[2] / "docs" / "accessibility.md"
+
+
+def grave(where: Page | Frame) -> dict[str, list[str]]:
+    """Return what axe finds serious or critical, each rule with what it found it in."""
+    found = Axe().run(where).response["violations"]
+    return {one["id"]: [node["html"][:200] for node in one["nodes"]] for one in found if one["impact"] in GRAVE}
+
+
+@pytest.fixture
+def filled(server: Server) -> Server:
+    write_study(server.runs, [Made("direct", "direct"), Made("fixed", "no_hw_opt")], [0, 1], iterations=10)
+    return server
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_our_pages_have_nothing_that_is_serious(filled: Server, page: Page, scheme: str) -> None:
+    page.emulate_media(color_scheme=scheme)  # pyright: ignore[reportArgumentType]
+    base = f"http://127.0.0.1:{filled.port}"
+    page.goto(base)
+    expect(page.get_by_role("button", name="Enter")).to_be_visible()
+    assert grave(page) == {}, "the login page"
+
+    page.goto(filled.url)
+    page.frame_locator("#viewer").get_by_role("tab", name="Timeline", exact=True).wait_for(timeout=60_000)
+    expect(page.locator("#loading")).to_be_hidden()
+    assert grave(page) == {}, "the shell"
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
+    assert grave(page) == {}, "the keys"
+    page.get_by_role("button", name="Show the tour").click()
+    assert grave(page) == {}, "the tour"
+
+    page.goto(f"{base}/docs")
+    assert grave(page) == {}, "the API page"
+
+    page.goto(f"{base}/study")
+    expect(page.locator("#writing, #report").filter(visible=True)).to_be_visible(timeout=20_000)
+    assert grave(page) == {}, "the study"
+
+    page.goto(f"{base}/runs")
+    expect(page.locator(".tabulator-row")).to_have_count(4)
+    assert grave(page) == {}, "the runs"
+    page.get_by_role("checkbox", name="Select all runs that fit the filters").check()
+    page.get_by_role("button", name="Compare").click()
+    expect(page.locator("#compared")).to_have_text("4 runs compared")
+    assert grave(page) == {}, "a comparison"
+    for button in ("Trash", "Keys"):
+        page.get_by_role("button", name=button, exact=True).click()
+        assert grave(page) == {}, button
+        page.keyboard.press("Escape")
+
+
+def test_what_the_viewer_lacks_is_visers_own_and_listed(filled: Server, page: Page) -> None:
+    page.goto(filled.url)
+    page.frame_locator("#viewer").get_by_role("tab", name="Timeline", exact=True).wait_for(timeout=60_000)
+    expect(page.locator("#loading")).to_be_hidden(timeout=20_000)
+    page.wait_for_timeout(2000)  # until nothing fades in any more
+    listed = re.findall(r"^\| `([a-z-]+)`", LISTED.read_text(), re.MULTILINE)
+    assert listed
+    assert {rule: where for rule, where in grave(page.frames[-1]).items() if rule not in listed} == {}
