@@ -4,6 +4,7 @@
 _.conaffinity
 _.contype
 _.ctrllimited
+_.degree
 _.disableflags
 _.explicitinertial
 _.forcelimited
@@ -99,3 +100,14 @@ _.replayed_on
 
 # The page reads it in the JSON that tells what its viewer shows.
 _.connected
+
+# viser asks a message for these.
+_.entity_state_key
+_.redundancy_key
+
+# ONNX Runtime reads what is set on its options.
+_.intra_op_num_threads
+
+# Tests go by these: how the lines that load a file are run, and from which length on all joints have their room.
+_.language
+_.roomy

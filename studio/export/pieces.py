@@ -10,6 +10,7 @@ import numpy as np
 from manifold3d import CrossSection, Manifold, Mesh64, OpType
 
 from studio.export.printers import BORDER, Printer
+from studio.robots.geometry import SHORTEST
 from studio.robots.parts import Part
 
 LAYER = 0.2
@@ -152,7 +153,7 @@ def _cut(whole: Piece, axis: int, count: int) -> Pieces | None:
             above, below = rest.split_by_plane(np.eye(3)[axis], float(place))
             pieces.append(below)
             rest = above
-        solids = [*pieces, rest]
+        solids = [solid.simplify(SHORTEST) for solid in (*pieces, rest)]
         if all(len(solid.decompose()) == 1 for solid in solids):
             named = zip(piece_names(whole.part, count), solids, strict=True)
             laid = [lay(name, whole.part, solid, whole.copies) for name, solid in named]

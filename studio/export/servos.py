@@ -132,16 +132,15 @@ def servo_table(
     """
     rows: dict[ServoName, list[Row]] = {name: [_row(need, sheet) for need in needs] for name, sheet in SERVOS.items()}
     enough: dict[ServoName, int] = {name: sum(not row.faults for row in found) for name, found in rows.items()}
-    servo: ServoName
+    full: list[ServoName] = [name for name in SERVOS if enough[name] == len(needs)]
+    servo: ServoName = max(SERVOS, key=lambda name: (enough[name], SERVOS[name].stall_torque))
+    chosen = "none of the table suffices; this one comes nearest"
     if wanted is not None:
         servo, chosen = wanted, "as asked"
     elif limits != "none":
         servo, chosen = limits, "its limits were those of the training"
-    elif full := [name for name, count in enough.items() if count == len(needs)]:
+    elif full:
         servo, chosen = full[0], "the cheapest of those that suffice"
-    else:
-        servo = max(SERVOS, key=lambda name: (enough[name], SERVOS[name].stall_torque))
-        chosen = "none of the table suffices; this one comes nearest"
     return ServoTable(
         servo=servo,
         chosen=chosen,

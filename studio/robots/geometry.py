@@ -120,7 +120,7 @@ class PalmSizes:
 
 SIZES, PALM = Sizes(), PalmSizes()
 ARM = replace(
-    SIZES, radius=1e3 * LINK_RADIUS, rim=0.45, wall=10.0, pin_diameter=10.0, pin_length=100.0, tang=20.0, web=12.5,
+    SIZES, radius=1e3 * LINK_RADIUS, rim=0.4, wall=10.0, pin_diameter=10.0, pin_length=100.0, tang=20.0, web=12.5,
     back=2.2, fold=2.2, segments=72,
 )  # fmt: skip
 """Sizes of the arm's links, whose joints have no limits: they turn as far as links of their thickness can."""

@@ -9,7 +9,9 @@ import msgspec
 import pytest
 
 from morph_core.history import History
+from morph_core.run_folder import RunFolder
 from studio.cli import run
+from studio.inquest import start_child
 from studio.settings import Settings
 from tests.studio.conftest import NAME, Served, design_of, make_run, serving
 
@@ -94,3 +96,8 @@ def test_the_page_is_told_in_a_sentence(shown: Served, method: str, path: str, b
     assert answer.status_code in (422, 503), answer.text
     assert "read-only" in answer.json()["detail"].lower() or "permission" in answer.json()["detail"].lower()
     assert shown.client.get(f"/api/runs/{NAME}").json()["status"] == "stopped", "as it was"
+
+
+def test_no_trainer_is_started_where_it_could_write_nothing(read_only: Path) -> None:
+    with pytest.raises(PermissionError, match=f"{NAME} is read-only"):
+        start_child(RunFolder(read_only / NAME), lambda: pytest.fail("it was started"))

@@ -174,9 +174,9 @@ def test_a_link_that_is_too_long_is_cut_and_dowelled() -> None:
     assert made.dowel == (8.0, 40.0)
     whole, (one, other) = solid_of(part), (piece.solid for piece in made.pieces)
     assert (one ^ other).volume() == pytest.approx(0, abs=1e-9)
-    holes = whole - one - other
-    assert len(holes.decompose()) == 2
-    for hole in holes.decompose():
+    holes = [hole for hole in (whole - one - other).decompose() if hole.volume() > 1.0]  # others are rounded edges
+    assert len(holes) == 2
+    for hole in holes:
         assert hole.volume() == pytest.approx(math.pi * 4.1**2 * 41.0, rel=0.01)
         middle = np.array(hole.bounding_box()).reshape(2, 3).mean(0)
         dowel = Manifold.cylinder(40.0, 4.0, circular_segments=48, center=True).translate(middle)
@@ -207,7 +207,7 @@ def test_more_pieces_than_hold_together_are_refused_with_the_length_and_what_is_
     rows = {row["piece"]: row for row in csv.DictReader(io.StringIO(files[PIECES].decode()))}
     assert rows["link_1"]["problem"] == prints.problems["link_1"]
     assert note_of(prints, "link_1") == prints.problems["link_1"]
-    assert rows["link_2"]["problem"] == ""
+    assert rows["link_2_1of2"]["problem"] == ""
 
 
 def test_a_palm_is_not_cut() -> None:
@@ -226,7 +226,7 @@ def test_dowels_are_bought() -> None:
     prints = prints_of(task, corner(task, 0.4))
     fingers = len(task.design_space.parameters) // 2
     [line] = dowels_bought(prints)
-    assert line[:2] == ["dowel pin 8 x 40 mm", 2 * 2 * fingers]
+    assert line[:2] == ("dowel pin 8 x 40 mm", 2 * 2 * fingers)
     assert "2 pieces, with 2 dowels" in note_of(prints, "finger_1_distal")
     assert note_of(prints, "palm") == ""
 
