@@ -64,7 +64,11 @@ def test_wheel_editable_install_and_checkout_find_the_meshes(tmp_path: Path) -> 
     _pip(Path(sys.executable), "wheel", "--wheel-dir", tmp_path, source)
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
-        folders = [name.split("/")[0] for name in archive.namelist() if "/" in name]
+        names = set(archive.namelist())
+    assert {
+        f"studio/show/vendor/{name}" for name in ("mujoco.wasm.gz", "mujoco.js", "three.js", "LICENSES.txt")
+    } < names
+    folders = [name.split("/")[0] for name in names if "/" in name]
     assert {folder for folder in folders if not folder.endswith(".dist-info")} == {"morph_core", "studio"}
     installed = _environment(tmp_path / "installed")
     _pip(installed, "install", "--ignore-installed", wheel)

@@ -46,6 +46,7 @@ def test_readme_and_docs_show_every_command() -> None:
         "compare",
         "export",
         "verify",
+        "show",
         "import",
     }
 

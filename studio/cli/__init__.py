@@ -21,6 +21,7 @@ COMMANDS = {
     "compare": "compare two designs of any runs of one task: success, return, phi and masses",
     "export": "write a design for simulators, printers and people",
     "verify": "check that what an export holds is one robot, and that its policy works",
+    "show": "write one offline HTML file in which a hand runs live",
     "import": "read a design and go on from it: in a running run, or in a new one",
 }
 _MODULES = {"import": "import_design"}

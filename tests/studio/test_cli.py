@@ -122,7 +122,7 @@ def test_help_lists_the_commands_within_a_second() -> None:
     done = morph_studio("--help")
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines() if line.startswith("  ")] == [
-        "serve", "train", "study", "runs", "stop", "log", "replay", "evaluate", "compare", "export", "verify", "import",
+        "serve", "train", "study", "runs", "stop", "log", "replay", "evaluate", "compare", "export", "verify", "show", "import",
     ]  # fmt: skip
     after = os.times()
     assert after.children_user + after.children_system - before.children_user - before.children_system < 1.0
@@ -130,7 +130,21 @@ def test_help_lists_the_commands_within_a_second() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["serve", "train", "study", "runs", "stop", "log", "replay", "evaluate", "compare", "export", "verify", "import"],
+    [
+        "serve",
+        "train",
+        "study",
+        "runs",
+        "stop",
+        "log",
+        "replay",
+        "evaluate",
+        "compare",
+        "export",
+        "verify",
+        "show",
+        "import",
+    ],
 )
 def test_every_command_explains_itself(command: str) -> None:
     done = morph_studio(command, "--help")

@@ -1,0 +1,1 @@
+"""One offline HTML file in which an exported hand runs live."""
