@@ -101,6 +101,11 @@ _.replayed_on
 # The page reads it in the JSON that tells what its viewer shows.
 _.connected
 
+# msgspec holds what a browser tells of its camera against them.
+_.image_height
+_.image_width
+_.up_direction
+
 # viser asks a message for these.
 _.entity_state_key
 _.redundancy_key

@@ -147,7 +147,10 @@ def test_the_help_of_a_run_has_the_settings_of_the_package_with_their_explanatio
         ("--step 3", '"step" does nothing for morph, only for direct or value_gradient or random_walk; '),
         ("--search scatter --search.tries 0", "search.tries must lie in [1, 1000000], not 0"),
         ("--hold -1", "hold must lie in (0, 1000000], not -1"),
-        ("--search scater", 'can\'t be "scater"; choose from: cma, cma_debiased, drift, gradient, scatter'),
+        (
+            "--search scater",
+            'can\'t be "scater" (did you mean scatter?); choose from: cma, cma_debiased, drift, gradient, scatter',
+        ),
     ],
 )
 def test_what_does_nothing_is_refused_as_for_our_own(morph_studio: Run, words: str, sentence: str) -> None:

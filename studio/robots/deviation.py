@@ -34,8 +34,6 @@ class Deviation:
 
     outside_max: float
     """How far prints reach out of the shapes."""
-    outside_95: float
-    """The distance that 95 % of the prints' surface keeps: how far it is out of the shapes, 0 inside."""
     inside_max: float
     """How far the shapes' surface is from the prints, outside the crotches."""
     inside_95: float
@@ -201,7 +199,7 @@ def deviation(
         crotch.append(apart[left_out])
     out, gap, left = np.maximum(np.concatenate(outside), 0), np.concatenate(inside), np.concatenate(crotch)
     return Deviation(
-        float(out.max()), float(np.quantile(out, 0.95)), float(gap.max()), float(np.quantile(gap, 0.95)),
+        float(out.max()), float(gap.max()), float(np.quantile(gap, 0.95)),
         float(left.max(initial=0.0)), len(left) / (len(left) + len(gap)),
     )  # fmt: skip
 

@@ -148,11 +148,6 @@ class Drilled:
         """The part as it is printed."""
         return Manifold.batch_boolean([self.body, *self.tools], OpType.Subtract).simplify(SHORTEST)
 
-    @property
-    def filling(self) -> Manifold:
-        """What fills the room again: what is bought."""
-        return self.body ^ Manifold.batch_boolean(self.tools, OpType.Add)
-
     def changed(self, change: Callable[[Manifold], Manifold]) -> "Drilled":
         """Return the part after `change` was done to body and tools."""
         return Drilled(change(self.body), tuple(change(tool) for tool in self.tools))

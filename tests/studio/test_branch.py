@@ -52,7 +52,10 @@ def test_a_branch_is_like_its_parent_in_all_that_is_not_wished_for(parent: RunFo
 def test_a_branch_takes_the_checkpoint_along_and_leaves_its_parent_as_it_is(parent: RunFolder) -> None:
     before = {path: path.stat().st_mtime_ns for path in parent.path.rglob("*")}
     folder = prepare_run(parent.path.parent, StartRun(branch=Branch(parent.id, 3)))
-    assert {path: path.stat().st_mtime_ns for path in parent.path.rglob("*")} == before
+    after = {path: path.stat().st_mtime_ns for path in parent.path.rglob("*")}
+    pins = {parent.path / "pins", parent.path / "pins" / "000002"}  # the checkpoint stays for as long as the parent
+    assert after.keys() - before.keys() == pins
+    assert all(after[path] == time for path, time in before.items() if path != parent.path)
     inside = folder.path / "origin" / parent.id
     assert (inside / "run.json").read_bytes() == (parent.path / "run.json").read_bytes()
     for name in ("state.json", "weights.safetensors"):

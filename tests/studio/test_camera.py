@@ -38,8 +38,8 @@ class Eye:
         }  # fmt: skip
         heard: list[object] = []
         self.client.camera.on_update(heard.append)
-        self.connection.send(msgspec.msgpack.encode(told))
-        assert eventually(lambda: heard)
+        message = msgspec.msgpack.encode(told)
+        assert eventually(lambda: self.connection.send(message) or heard)  # again and again, as browsers do
 
     @property
     def pose(self) -> Pose:

@@ -175,7 +175,7 @@ def test_a_hands_run_is_shown_with_milestones_losses_and_rules(page: Page, folde
     assert shown["episodes left out: diverged"] == "3"
     assert shown["environment steps"] == "5.1 k"
     assert shown["steps for relabelling"] == "1.0 k"
-    assert "Options: grasp any_two, servo none." in page.viewer.run.rules.content
+    assert "Options: grasp any_two, servo none, servo_limits none." in page.viewer.run.rules.content
     assert "at least half of the last ten control steps" in page.viewer.run.rules.content
 
 

@@ -178,6 +178,8 @@ def test_a_tilde_is_home_in_every_path(
         "replay": ["good"],
         "train": ["reacher", "--iterations=1"],
         "study": ["--report=~/none"],
+        "stop": ["good"],
+        "show": ["good", "--out=~/new.html"],
     }
     if given_by == "environment":
         monkeypatch.setenv("MORPH_RUNS", "~/x")

@@ -157,8 +157,8 @@ def test_playback_pauses_seeks_and_loops(
     page.take(lambda take: take.shot.episode is not None)
     playback, player = page.viewer.playback, page.viewer.player
     assert eventually(lambda: playback.time.value > 0)  # it plays while somebody watches
-    wire(playback.time, 0.21)  # not the 0.2 s of the first report: viser passes on changes only
-    assert eventually(lambda: not player.playing)
+    # Somebody drags: viser passes on changes only, and one report may be what the playing slider says at that moment.
+    assert eventually(lambda: wire(playback.time, 0.2) or wire(playback.time, 0.21) or not player.playing)
     assert eventually(lambda: player._robot._instant == round(0.21 * FRAMES))
     assert playback.play.label == "Play"
     assert eventually(lambda: player._contact.node_names == ["/contact/sphere"])

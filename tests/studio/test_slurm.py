@@ -414,7 +414,10 @@ def test_a_start_goes_to_slurm_and_shows_why_it_waits(cluster: Cluster, runs: Ru
     assert settled(runs, run_id) == ("queued", "waits for a free core (Slurm job 42_0: PENDING, Resources)")
     assert runs.summary(run_id).reason == "waits for a free core (Slurm job 42_0: PENDING, Resources)"
     cluster.say(t42_0="RUNNING|n1|None")
-    assert settled(runs, run_id) == ("starting", "on n1 (Slurm job 42_0: RUNNING)")
+    assert settled(runs, run_id) == (
+        "starting",
+        "on n1 (Slurm job 42_0: RUNNING); an iteration takes about a second or less",
+    )
     cluster.say(t42_0="FAILED||NonZeroExitCode")
     assert settled(runs, run_id) == ("failed", "Slurm job 42_0: FAILED, NonZeroExitCode")
 

@@ -175,12 +175,12 @@ def test_closing_removes_what_was_written_and_ends_the_process(study: Path) -> N
 def test_the_page_is_served_and_the_empty_folder_explained(served: Served) -> None:
     page = served.client.get("/study")
     assert page.status_code == 200
-    assert "/page/study.js" in page.text
+    assert "page/study.js" in page.text
     assert "script-src 'self'" in page.headers["Content-Security-Policy"]
     state = served.client.get("/api/study").json()
     assert state["state"] == "no study"
     assert served.client.get("/study/report/report.html").status_code == 404
-    assert '<a class="link" href="/study">' in served.client.get("/").text
+    assert '<a class="link" href="study">' in served.client.get("/").text
 
 
 def test_the_comparison_needs_the_token(served: Served) -> None:
