@@ -23,7 +23,8 @@ from studio.export.urdf import urdf_names
 from studio.export.zero import zero_of
 from studio.robots.chooser import robot_of
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "studio"))
+_TESTS = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(_TESTS.parent), str(_TESTS / "studio")]
 
 from test_export_proof import corners, faults_of, random_design
 
