@@ -26,7 +26,7 @@ from studio.robots.chooser import robot_of
 _TESTS = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(_TESTS.parent), str(_TESTS / "studio")]
 
-from test_export_proof import corners, faults_of, random_design
+from test_export_proof import corners, faults_of, random_design  # noqa: E402
 
 POSTURES = 5
 
