@@ -1,6 +1,7 @@
 """A bundle proved in a process of its own, with limits of time and memory: what its files ask for is not known before.
 
-It is started as `python -P -m studio.export.apart FOLDER EPISODES`, and writes its checks to standard output as JSON.
+It is started as `python -P -m studio.export.apart FOLDER EPISODES SECONDS BYTES`, and writes its checks to standard
+output as JSON.
 """
 
 import math
@@ -42,8 +43,11 @@ class _Told(msgspec.Struct, frozen=True):
         return Check(self.name, math.inf if self.worst is None else self.worst, self.allowed, self.detail)
 
 
-def prove_apart(files: Mapping[str, bytes], *, episodes: int, seconds: int = READING_SECONDS) -> list[Check]:
-    """Check a bundle's files as `prove` does, in a process that ends after `seconds` of CPU time and more for episodes.
+def prove_apart(
+    files: Mapping[str, bytes], *, episodes: int, seconds: int = READING_SECONDS, memory: int = MEMORY_BYTES
+) -> list[Check]:
+    """Check a bundle's files as `prove` does, in a process that ends after `seconds` of CPU time and more for episodes,
+    and that gets no more than `memory` bytes of address space.
 
     Whatever happens to that process is a failed check, not an exception; OSError where the files can't be laid out.
     """
@@ -53,7 +57,7 @@ def prove_apart(files: Mapping[str, bytes], *, episodes: int, seconds: int = REA
         unpack(files, folder)
         try:
             done = subprocess.run(
-                [sys.executable, "-P", "-m", "studio.export.apart", str(folder), str(episodes), str(seconds)],
+                [sys.executable, "-P", "-m", "studio.export.apart", folder, *map(str, (episodes, seconds, memory))],
                 capture_output=True, timeout=WALL_FACTOR * seconds, cwd=folder, env=_environment(), check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
@@ -83,9 +87,9 @@ def _why(code: int, said: bytes, seconds: int) -> str:
 
 def main() -> int:
     """Prove the bundle that is named by the words, under limits; return the exit status."""
-    folder, episodes, seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    folder, (episodes, seconds, memory) = Path(sys.argv[1]), map(int, sys.argv[2:])
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     told = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what readers print is no answer
