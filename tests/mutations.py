@@ -795,6 +795,35 @@ MUTANTS: tuple[Mutant, ...] = (
         ("iteration <= asked", "iteration < asked"),
         ("*saved[-2:], ", ""),
     ),
+    # --- run folders and heartbeats from elsewhere ---
+    *_of(
+        f"{CORE}/inside.py", "attack/test_folders.py",
+        ("if not stat.S_ISREG(found.st_mode):", "if False:"),
+        ("found.st_nlink > 1", "found.st_nlink > 2"),
+        ("        if size > most:\n", "        if size > 2 * most:\n"),
+        ("inner = os.open(name, os.O_RDONLY | os.O_DIRECTORY | _ALWAYS, dir_fd=at)",
+         "inner = os.open(name, os.O_RDONLY | os.O_DIRECTORY, dir_fd=at)"),
+    ),
+    *_of(
+        f"{CORE}/pulse.py", "attack/test_liveness.py",
+        ("self._changes += self._beat is not None", "self._changes += 1"),
+        ("unchanged < LOST_AFTER and (", "("),
+        ("self._changes > self._changes_when_missed + 1", "self._changes > self._changes_when_missed"),
+        ("return found is not None and found.status not in SAID_ENDED", "return found is not None"),
+    ),
+    # --- prints and where a robot begins ---
+    *_of(
+        "studio/export/stand.py", "studio/test_export_readers.py",
+        ("float(max(lo - value, value - hi, 0.0))", "float(max(lo - value, 0.0))"),
+        ("float(max(-contact.dist, 0.0))", "float(max(contact.dist, 0.0))"),
+        ("while data.time < STANDING:", "while data.time < 0:"),
+    ),
+    *_of(
+        "studio/robots/deviation.py", "studio/test_geometry.py",
+        ("np.minimum(apart[off], prints[other]", "np.maximum(apart[off], prints[other]"),
+        ("inside.append(apart[~left_out])", "inside.append(apart[left_out])"),
+        ("outside.append(np.min([_depth", "outside.append(np.max([_depth"),
+    ),
     # --- what a browser may say ---
     *_of(
         "studio/bridge.py", "studio/test_bridge.py::test_a_number_that_is_none_is_dropped_wherever_it_stands",

@@ -257,3 +257,16 @@ def test_a_trainer_is_not_started_where_its_log_leads_elsewhere(tmp_path: Path) 
     with pytest.raises(inside.NotPlainError, match=r"trainer\.log is no plain file"):
         spawn_trainer(folder)
     assert (tmp_path / "bashrc").read_text() == "mine"
+
+
+@given(size=st.integers(0, 200), most=st.integers(0, 200), offset=st.integers(0, 200))
+def test_a_file_is_read_whole_or_refused_with_its_size(
+    tmp_path_factory: pytest.TempPathFactory, size: int, most: int, offset: int
+) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    (folder / "some").write_bytes(bytes(range(size)))
+    if size - offset > most:
+        with pytest.raises(inside.NotPlainError, match=f"has {size - offset} bytes, and at most {most} are read"):
+            inside.read(folder, "some", most, offset)
+    else:
+        assert inside.read(folder, "some", most, offset) == bytes(range(size))[offset:]

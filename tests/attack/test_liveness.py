@@ -4,6 +4,7 @@ import platform
 import time
 from types import SimpleNamespace
 
+import msgspec
 import psutil
 import pytest
 from hypothesis import given, settings
@@ -94,3 +95,11 @@ def test_before_a_second_trainer_starts_the_heartbeat_is_watched(
     clock = Clock(monkeypatch)
     stands = clock.wall - 1000
     assert at_work(lambda: beat(pid, started, clock.wall if changes else stands, host)) == changes
+
+
+def test_a_trainer_whose_last_word_comes_while_it_is_watched_is_not_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    first = beat(ME.pid, ME.create_time() - 1000, clock.wall, "elsewhere")
+    last = msgspec.structs.replace(first, status="finished", time=clock.wall + 1)
+    words = iter([first])
+    assert not at_work(lambda: next(words, last))
