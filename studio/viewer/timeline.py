@@ -104,7 +104,11 @@ class TimelinePanel:
     @property
     def has_episode(self) -> bool:
         """Tell whether an episode is to be played: the shown iteration has one, and the evolution stands still."""
-        return self.shown_iteration in self._recorded and not self.evolution.playing
+        return self.plays(self.shown_iteration)
+
+    def plays(self, iteration: int) -> bool:
+        """Tell whether the recorded episode of an iteration is to be played while that one is shown."""
+        return iteration in self._recorded and not self.evolution.playing
 
     @property
     def wants_episode(self) -> bool:

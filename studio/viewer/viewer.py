@@ -485,7 +485,7 @@ class Viewer:
         self.fresh.want([one for one in (first, self.compare.wants_episode) if one is not None])
 
     def _shot(self, history: History, shown: int, phi: np.ndarray) -> Shot:
-        recorded = (history.folder, shown) if self.timeline.has_episode else None
+        recorded = (history.folder, shown) if self.timeline.plays(shown) else None  # the slider may have gone on since
         before, name = (tuple(history.initial_phi.tolist()), "initial")
         changed = self.what_if.is_changed
         if changed:
