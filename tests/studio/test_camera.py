@@ -38,8 +38,8 @@ class Eye:
         }  # fmt: skip
         heard: list[object] = []
         self.client.camera.on_update(heard.append)
-        message = msgspec.msgpack.encode(told)
-        assert eventually(lambda: self.connection.send(message) or heard)  # again and again, as browsers do
+        self.connection.send(msgspec.msgpack.encode(told))
+        assert eventually(lambda: heard)
 
     @property
     def pose(self) -> Pose:
@@ -56,6 +56,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 @pytest.fixture
 def eye(server: viser.ViserServer) -> Iterator[Eye]:
+    assert eventually(lambda: not server.get_clients())  # that of the test before would be told of as well
     came: list[viser.ClientHandle] = []
     server.on_client_connect(came.append)
     address = f"ws://127.0.0.1:{server.get_port()}"
