@@ -157,10 +157,11 @@ def test_a_reader_that_takes_too_long_is_ended(bundle: dict[str, bytes]) -> None
 
 
 def test_a_bundle_that_needs_more_memory_than_is_allowed_is_given_up(bundle: dict[str, bytes]) -> None:
-    [check] = prove_apart(bundle, episodes=0, memory=64 << 20)
-    assert "can't be read" in check.detail
-    assert "memory" in check.detail.lower()  # whoever meets the limit first says it in its own words
-    assert not check.passed
+    checks = prove_apart(bundle, episodes=0, memory=64 << 20)
+    # whoever meets the limit first says it in its own words; how many readers go on after that depends on the machine
+    refused = [check.detail for check in checks if not check.passed and "memory" in check.detail.lower()]
+    assert refused, checks
+    assert all("can't be read" in detail for detail in refused)
 
 
 def test_a_bundle_proved_apart_says_what_it_says_here(bundle: dict[str, bytes]) -> None:
