@@ -19,7 +19,7 @@ from studio.robots.chooser import robot_of
 from studio.robots.parts import dress, stl_files
 from studio.viewer.figure import Figure, smooth
 from studio.viewer.ghosts import Beside, filled, standing, start_posture
-from studio.viewer.scene import is_flat, round_up
+from studio.viewer.scene import CONTACT_COLOUR, is_flat, round_up
 from studio.viewer.tint import Tint, painted
 
 Corners = tuple[np.ndarray, np.ndarray]
@@ -45,6 +45,11 @@ _TINT = 0.6
 _GAP = 0.15
 """Gap between two designs side by side, as a share of the scene's width there."""
 _GHOST_THICKNESS = 0.85
+_MARKER_RADIUS = 0.012
+"""Radius of a contact marker, as a share of the scene's longest side."""
+_OUT_OF_SIGHT = -1e4
+"""Height in m of the markers of contacts that are none now: browsers move markers at once, and are slow to make new
+ones."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +144,8 @@ class Take:
     """Frames in which each milestone is reached, by its name: (F,) bool each."""
     contact: np.ndarray
     """Points (F, C, 3) in m where something is touched; NaN for nothing."""
+    markers: Figure | None
+    """Markers of the contacts, one for each of C; None where nothing is ever touched."""
     touched: np.ndarray
     """Parts of the scenery that are touched, (F, n) bool."""
     box: Corners
@@ -227,6 +234,7 @@ def make_take(shot: Shot) -> Take:
         goal_touched=_from_their_end(episode.success, factor, len(frames)),
         milestones={name: _from_their_end(m, factor, len(frames)) for name, m in episode.milestones.items()},
         contact=contact,
+        markers=_markers(contact, _MARKER_RADIUS * _longest_side(box)),
         touched=_touched(scenery, contact),
         box=box,
         floor=floor,
@@ -366,6 +374,15 @@ def _moving_contacts(contact: np.ndarray, factor: int, frames: int) -> np.ndarra
             share = np.arange(factor)[:, None] / factor
             points[begin : begin + factor, c] = (1 - share) * contact[t, c] + share * contact[t + 1, c]
     return points
+
+
+def _markers(contact: np.ndarray, radius: float) -> Figure | None:
+    """Return markers of this radius in m where (F, C, 3) is touched."""
+    touched = np.isfinite(contact).all(2)
+    if not touched.any():
+        return None
+    places = np.where(touched[..., None], contact, [0.0, 0.0, _OUT_OF_SIGHT])
+    return Figure.balls(places[:, touched.any(0)], radius, "contact", CONTACT_COLOUR)
 
 
 def _touched(scenery: Figure, contact: np.ndarray) -> np.ndarray:
