@@ -26,9 +26,10 @@ SPACE = REACHER.design_space
 
 
 def begun(runs: Runs, **wishes: Any) -> str:
-    """Start a stand-in and wait until it runs."""
+    """Start a stand-in and wait until it runs and its heart beats."""
     run_id = runs.start(StartRun(task="reacher", **wishes))
     assert eventually(lambda: runs.status(runs.get(run_id))[0] == "running"), runs.status(runs.get(run_id))
+    assert eventually(lambda: runs.get(run_id).heartbeat is not None)
     return run_id
 
 
