@@ -378,7 +378,7 @@ def _moving_contacts(contact: np.ndarray, factor: int, frames: int) -> np.ndarra
 
 def _markers(contact: np.ndarray, radius: float) -> Figure | None:
     """Return markers of this radius in m where (F, C, 3) is touched."""
-    touched = np.isfinite(contact).all(2)
+    touched = np.asarray(np.isfinite(contact).all(2))
     if not touched.any():
         return None
     places = np.where(touched[..., None], contact, [0.0, 0.0, _OUT_OF_SIGHT])
