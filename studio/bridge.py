@@ -26,6 +26,7 @@ from websockets.typing import Subprotocol
 from morph_core.config import LARGEST
 from studio.desks import KEY
 from studio.elements import element_of, settled
+from studio.retries import SCRIPT as RETRIES
 from studio.seldom import Seldom
 from studio.uploads import Uploads
 
@@ -95,9 +96,10 @@ _KINDS_CHECKED = UPLOADS | {"ViewerCameraMessage"}
 
 _STYLE = (
     b"<style>.u-legend .u-value,.u-legend th::after{visibility:hidden}"
-    b".u-wrap:hover~.u-legend .u-value,.u-wrap:hover~.u-legend th::after{visibility:visible}</style>"
+    b".u-wrap:hover~.u-legend .u-value,.u-wrap:hover~.u-legend th::after{visibility:visible}</style>" + RETRIES
 )
-"""Style that lets a chart's legend show values only while the pointer is in the chart: elsewhere it has none."""
+"""Style that lets a chart's legend show values only while the pointer is in the chart: elsewhere it has none. With it
+goes the script that keeps a connection."""
 
 _log = logging.getLogger(__name__)
 
