@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from studio.cli.arguments import UsageError
-from studio.cli.output import complain, say
+from studio.cli.output import complain, say, write_json
 from studio.show.sheet import Page
 
 
@@ -13,8 +13,11 @@ def check_place(out: Path, command: str) -> None:
         raise UsageError(f"{command}: there is no folder {out.parent} to write into")
 
 
-def write_page(page: Page, out: Path, command: str) -> int:
-    """Write a page and print its path, with what it lacks as a complaint; return the exit status."""
+def write_page(page: Page, out: Path, command: str, *, json: bool = False) -> int:
+    """Write a page and print its path, with what it lacks as a complaint; return the exit status.
+
+    With `json` one document is printed that holds both.
+    """
     from morph_core.durable import write_file
 
     try:
@@ -22,6 +25,9 @@ def write_page(page: Page, out: Path, command: str) -> int:
     except OSError as error:
         complain(f"morph-studio: {command}: can't write {out}: {error.strerror or error}")
         return 1
+    if json:
+        write_json({"path": str(out), "bytes": len(page.content), "missing": page.missing})
+        return 0
     if page.missing:
         complain(f"morph-studio: {command}: {page.missing}")
     say(out)

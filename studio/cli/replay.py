@@ -54,7 +54,9 @@ def main(words: Sequence[str]) -> int:
         )
     histories = [open_run(arguments.runs, run) for run in arguments.run]
     if arguments.html is not None:
-        return write_evolution(histories, arguments.html)
+        if arguments.until is not None:
+            raise UsageError("replay: --until goes with --check; the page holds the whole evolution")
+        return write_evolution(histories, arguments.html, json=arguments.json)
     if len(histories) > 1:
         raise UsageError(f"replay: --check compares one run, not {len(histories)}")
     return _check(histories[0], arguments)

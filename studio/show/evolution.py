@@ -8,11 +8,11 @@ import numpy as np
 from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.task import Task
+from studio.shelf.marks import read_marks
 from studio.show.bodies import Body, Cast, Played, body_of, episodes_within, packed_designs
 from studio.show.course import Course, Designs, course_of, designs_of, packed_course
 from studio.show.pack import Pack
 from studio.show.sheet import Page, filled, packed_text, picture
-from studio.shelf.marks import read_marks
 from studio.units import unit_of
 
 MOST_RUNS = 4
@@ -85,7 +85,7 @@ def _run(history: History, budget: int, pack: Pack, step: Step | None) -> tuple[
         played = episodes_within(history, task, budget)
     shown = packed_designs(bodies, cast, pack) if bodies else None
     episodes = [episode.packed(cast, pack) for episode in played]
-    lacks += _lacks(course, designs, bodies, len(played))
+    lacks += _left_out(course, designs, len(played), boxed=cast.boxed) + _unbuilt(designs, bodies)
     low, high = _box(bodies, played)
     record = history.record
     return {
@@ -113,10 +113,9 @@ def _body(task: Task, phi: np.ndarray) -> Body | str:
         return str(error)
 
 
-def _lacks(course: Course, designs: Designs, bodies: Sequence[Body | str], episodes: int) -> list[str]:
-    """Return sentences on what is left out or can't be shown."""
-    lacks, history = [], course.history
-    kept = "first, last, best and marked ones among them, the others evenly"
+def _left_out(course: Course, designs: Designs, episodes: int, *, boxed: bool) -> list[str]:
+    """Return sentences on what the page holds less of than the run."""
+    lacks, kept = [], "first, last, best and marked ones among them, the others evenly"
     if len(course.progress) < course.total:
         lacks.append(f"Of {course.total:,} iterations the page holds {len(course.progress):,}, {kept}.")
     if len(designs.phi) < designs.total:
@@ -124,19 +123,26 @@ def _lacks(course: Course, designs: Designs, bodies: Sequence[Body | str], episo
             f"Of {designs.total:,} different designs the page holds the bodies of {len(designs.phi):,}, {kept}; "
             "an iteration whose body is left out shows the one before."
         )
-    unbuilt = [(i, body) for i, body in zip(designs.iterations, bodies, strict=False) if isinstance(body, str)]
-    if unbuilt:
-        iteration, reason = unbuilt[0]
-        lacks.append(
-            f"{len(unbuilt)} of {len(bodies)} designs can't be built and have no body, that of iteration {iteration} "
-            f"because {reason}. Their traces and the table are whole."
-        )
-    recorded = sum(bool(e.episode) for e in history.evaluations)
+    recorded = sum(bool(e.episode) for e in course.history.evaluations)
     if not recorded:
         lacks.append("This run recorded no episode, so that its bodies stand in their start posture.")
     elif episodes < recorded:
         lacks.append(f"Of {recorded} recorded episodes the page holds {episodes}, first, last and best among them.")
+    if boxed:
+        lacks.append("Meshes that are too large for the page are drawn as the boxes round them.")
     return lacks
+
+
+def _unbuilt(designs: Designs, bodies: Sequence[Body | str]) -> list[str]:
+    """Return a sentence on the designs that can't be built, if there are any."""
+    reasons = [(i, body) for i, body in zip(designs.iterations, bodies, strict=False) if isinstance(body, str)]
+    if not reasons:
+        return []
+    iteration, reason = reasons[0]
+    return [
+        f"{len(reasons)} of {len(bodies)} designs can't be built and have no body, that of iteration {iteration} "
+        f"because {reason}. Their traces and the table are whole."
+    ]
 
 
 def _box(bodies: Sequence[Body | str], played: Sequence[Played]) -> tuple[list[float], list[float]]:
