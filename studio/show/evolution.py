@@ -146,9 +146,10 @@ def _unbuilt(designs: Designs, bodies: Sequence[Body | str]) -> list[str]:
 
 
 def _box(bodies: Sequence[Body | str], played: Sequence[Played]) -> tuple[list[float], list[float]]:
-    """Return the corners of what is framed: all designs, the scenery, and the robot's way in the episodes."""
+    """Return the corners of what is framed: all designs, the scenery, and the robot's way in the last episode."""
     corners = [corner for body in bodies if not isinstance(body, str) for corner in body.corners]
-    corners += [corner for one in played if len(one.body.figures[0]) for corner in one.body.figures[0].extent()]
+    robots = [one.body.figures[0] for one in played[-1:]]  # the last knows what it does; the first may be anywhere
+    corners += [corner for robot in robots if len(robot) for corner in robot.extent()]
     if not corners:
         return [-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]
     return np.min(corners, 0).tolist(), np.max(corners, 0).tolist()

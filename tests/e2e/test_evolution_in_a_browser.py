@@ -32,7 +32,7 @@ def write_evolution(runs: Path, name: str, iterations: int) -> RunFolder:
         log.append(
             Progress(
                 iteration=i, env_steps=5120 * i, phi=grown, episode_return=1.0, success=0.9, policy_std=0.5,
-                cosine=np.sin(i), divergence=10.0**-i,
+                cosine=float(np.sin(i)), divergence=10.0**-i,
             )
         )  # fmt: skip
         if i % 5 == 0:
@@ -72,7 +72,7 @@ def test_a_person_scrubs_plays_and_reads(pages: tuple[Path, Path], opened: Opene
     assert state(page)["mode"] == ""
     caption = page.locator(".caption")
     expect(caption).to_contain_text("Iteration 12 of 12 · 61.4 k steps")
-    expect(caption).to_contain_text("success 50 % sampled, 50 % mean, in iteration 10")
+    expect(caption).to_contain_text("success 50 % (sampled policy), 50 % (its mean), in iteration 10")
     expect(page.get_by_role("row", name="length finger 1")).to_contain_text("22.0")  # cm
 
     page.keyboard.press("ArrowLeft")

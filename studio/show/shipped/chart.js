@@ -57,8 +57,7 @@ class Chart {
     heading.textContent = title;
     this.values = lines.map(({ label, colour, dash }) => {
       const entry = document.createElement("li"), value = document.createElement("b"), width = 18;
-      const swatch = svg("svg", { width, height: 6, style: "" }, svg("line", { x2: width, y1: 3, y2: 3, stroke: colour, "stroke-width": 2.5, "stroke-dasharray": dash }));
-      swatch.setAttribute("class", "key");
+      const swatch = svg("svg", { class: "key", width, height: 6 }, svg("line", { x2: width, y1: 3, y2: 3, stroke: colour, "stroke-width": 2.5, "stroke-dasharray": dash }));
       entry.append(swatch, ` ${label} `, value);
       legend.append(entry);
       return value;

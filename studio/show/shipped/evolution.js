@@ -12,6 +12,7 @@ const MARKS = {
 const AXES = { iterations: "iteration", env_steps: "environment steps" };
 const FLAT = 0.25; // a scene that is lower than this share of its shorter side is seen from above
 const ABOVE = [0, -0.3, 1], OBLIQUE = [0.55, -1.1, 0.5];
+const REST = 250; // ms without a change after which the picture is drawn finely
 const PAUSE = 0.7; // s between the end of an episode and its next beginning
 const GOOD = 0.95; // success that is told in green
 
@@ -74,7 +75,7 @@ class Runner {
     if (at < 0) lines.push(line("no evaluation so far", "faint"));
     else {
       const from = evaluations.iterations[at], when = from === this.iteration ? "" : `, in iteration ${from}`;
-      const result = line(`success ${percent(evaluations.sampled[at])} sampled, ${percent(evaluations.deterministic[at])} mean${when}`, "result");
+      const result = line(`success ${percent(evaluations.sampled[at])} (sampled policy), ${percent(evaluations.deterministic[at])} (its mean)${when}`, "result");
       result.dataset.good = evaluations.sampled[at] >= GOOD;
       lines.push(result);
     }
@@ -125,6 +126,7 @@ class Evolution {
     this.stage.orbit.addEventListener("change", () => { this.dirty = true; });
     this.stage.show(this.actors);
     this.haunt($("ghost").checked);
+    this.writeScale();
     new ResizeObserver(() => this.arrange()).observe(canvas);
     this.arrange();
   }
@@ -268,13 +270,15 @@ class Evolution {
     this.advance(passed);
     if (!this.stage) return;
     this.stage.orbit.update();
-    if (!this.dirty) return;
+    if (this.dirty || this.mode) this.drawn = ms;
+    else if (this.stage.fine || ms - this.drawn < REST) return;
+    const finely = !this.dirty && !this.mode;
     this.dirty = false;
     this.runners.forEach((runner, i) => {
       const time = this.time === null ? null : Math.min(this.time, runner.duration);
       runner.draw(this.actors[i], time, this.mode === "evolution");
     });
-    this.stage.draw();
+    this.stage.draw({ finely });
     if (this.mode && passed < 0.25) this.stage.pace(1000 * passed);
     this.frames++;
   }
@@ -337,6 +341,15 @@ class Evolution {
     const runs = this.several ? this.runners.map(({ run, colour, index }) => entry(colour, `${LETTERS[index]}: ${run.name}, ${run.method}, seed ${run.seed}`, "swatch")) : [];
     const marks = Object.keys(MARKS).filter((kind) => kinds.has(kind)).map((kind) => entry(MARKS[kind][1], MARKS[kind][0], "tick"));
     $("legend").replaceChildren(...runs, ...marks);
+    this.writeScale();
+  }
+
+  /** Say how large the squares on the floor are, once there are bodies. */
+  writeScale() {
+    if (!this.actors) return;
+    const { cell } = this.actors[0], entry = document.createElement("li");
+    entry.textContent = `squares of ${cell < 1 ? `${number(100 * cell)} cm` : `${number(cell)} m`}; pale: initial design`;
+    $("legend").append(entry);
   }
 
   makeTable() {
@@ -347,18 +360,20 @@ class Evolution {
     this.rows = parameters.map(({ label, unit }) => {
       const row = document.createElement("tr"), range = document.createElement("td"), place = document.createElement("span");
       place.className = "range";
-      const [whole, inside, start] = ["i", "i", "b"].map((tag) => document.createElement(tag));
+      const [track, start] = ["i", "b"].map((tag) => document.createElement(tag));
       start.className = "start";
       const markers = this.runners.map(({ colour }) => {
         const marker = document.createElement("b");
         marker.style.background = this.several ? colour : "var(--accent)";
         return marker;
       });
-      place.append(whole, inside, start, ...markers);
-      range.append(place);
+      const [low, high] = ["small", "small"].map((tag) => document.createElement(tag));
+      place.append(track, start, ...markers);
+      range.append(low, place, high);
+      range.className = "bounds";
       const cells = names.map(() => cell("td", ""));
       row.append(Object.assign(cell("th", label), { scope: "row" }), range, ...cells, cell("td", unit));
-      return { row, place, inside, start, markers, cells };
+      return { row, place, low, high, start, markers, cells };
     });
     $("phi").tBodies[0].replaceChildren(...this.rows.map(({ row }) => row));
   }
@@ -366,15 +381,16 @@ class Evolution {
   writeTable() {
     const [first] = this.runners;
     $("phi-of").textContent = this.several ? "" : first.row ? `of iteration ${first.iteration}` : "at the start";
-    this.rows.forEach(({ place, inside, start, markers, cells }, i) => {
-      const { hard_lo: lo, hard_hi: hi, factor, digits, unit } = first.course.parameters[i];
-      const share = (value) => `${(100 * Math.min(1, Math.max(0, (value - lo) / (hi - lo)))).toFixed(1)}%`;
-      const text = (value) => (value * factor).toFixed(digits).replace("-", "−");
+    this.rows.forEach(({ place, low, high, start, markers, cells }, i) => {
+      const { factor, digits, unit } = first.course.parameters[i];
       const now = this.runners.map((runner) => runner.parameter(i)), [here] = now;
-      Object.assign(inside.style, { left: share(here.lo), right: `calc(100% - ${share(here.hi)})` });
+      const share = (value) => `${(100 * Math.min(1, Math.max(0, (value - here.lo) / (here.hi - here.lo)))).toFixed(1)}%`;
+      const text = (value) => (value * factor).toFixed(digits).replace("-", "−");
+      low.textContent = text(here.lo);
+      high.textContent = text(here.hi);
       start.style.left = share(here.initial);
       markers.forEach((marker, k) => { marker.style.left = share(now[k].value); });
-      place.title = `${text(here.lo)} to ${text(here.hi)} ${unit}; box: initial value`;
+      place.title = `${text(here.lo)} to ${text(here.hi)} ${unit} are allowed; box: initial value`;
       const change = here.value - here.initial, sign = change < 0 ? "−" : "+";
       const written = this.several ? now.map(({ value }) => text(value)) : [text(here.value), text(here.initial), `${sign}${text(Math.abs(change))}`];
       cells.forEach((cell, k) => { cell.textContent = written[k]; });

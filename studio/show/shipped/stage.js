@@ -58,6 +58,7 @@ class Stage {
     Object.assign(this.orbit, { maxPolarAngle: 1.52, enablePan: false });
     this.views = [];
     this.frames = [];
+    this.fine = false;
     this.paint();
     this.home();
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
@@ -100,8 +101,8 @@ class Stage {
   }
 
   resize() {
-    const { clientWidth, clientHeight } = this.canvas.parentElement, [most, shadows] = QUALITIES[this.quality];
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, most));
+    const { clientWidth, clientHeight } = this.canvas.parentElement, [most, shadows] = QUALITIES[this.fine ? 0 : this.quality];
+    this.renderer.setPixelRatio(this.fine ? most : Math.min(devicePixelRatio, most));
     this.renderer.setSize(clientWidth, clientHeight, false);
     if (this.renderer.shadowMap.enabled !== shadows) {
       this.renderer.shadowMap.enabled = shadows;
@@ -109,8 +110,13 @@ class Stage {
     }
   }
 
-  draw() {
+  /** Draw every view; `finely` where nothing moves, so that there is time for all pixels. */
+  draw({ finely = false } = {}) {
     const { renderer, camera } = this, height = this.canvas.clientHeight;
+    if (finely !== this.fine) {
+      this.fine = finely;
+      this.resize();
+    }
     renderer.setScissorTest(this.views.length > 1);
     this.views.forEach((view, i) => {
       const { left, top, width, height: h, aspect } = this.rectangle(i);
