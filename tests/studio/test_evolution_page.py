@@ -5,7 +5,7 @@ import gzip
 import hashlib
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import ROOT, append, make_hand_run, make_run, progress
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from morph_core.catalogue import make_task
@@ -22,7 +22,7 @@ from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolder, write_episode
 from studio.cli import run
 from studio.shelf.marks import Marks, write_marks
-from studio.show import bodies, course, evolution
+from studio.show import bodies, course, evolution, sheet
 from studio.show.evolution import build_evolution
 from studio.show.pack import Pack
 from studio.show.sheet import Page
@@ -32,6 +32,17 @@ from studio.viewer.ghosts import filled, start_posture
 
 SHIPPED = ROOT / "studio" / "show" / "shipped"
 ARRAYS = {"f4": "<f4", "f8": "<f8", "i4": "<i4", "i2": "<i2", "u1": "u1"}
+
+
+PICTURE = "data:image/png;base64,AAAA"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_pictures() -> Iterator[None]:
+    """Draw no pictures but where a test is about them: they take longer than all else."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(evolution, "picture", lambda *_: PICTURE)
+        yield
 
 
 def unpacked(content: bytes) -> Any:
@@ -161,6 +172,7 @@ def evaluated(iteration: int, phi: list[float], episode: str | None = None, succ
     )  # fmt: skip
 
 
+@settings(max_examples=25)
 @given(st.data())
 def test_a_document_comes_back_as_it_was(data: st.DataObject) -> None:
     arrays = data.draw(st.lists(st.tuples(st.sampled_from(sorted(ARRAYS)), st.lists(st.integers(0, 200), max_size=9))))
@@ -297,6 +309,15 @@ def test_a_run_that_has_only_begun_is_its_initial_design(tmp_path: Path) -> None
     (made,) = carried(page)["runs"]
     assert made["course"]["iterations"].tolist() == [0]
     assert made["designs"]["reasons"] == [""]
+
+
+def test_a_picture_of_the_best_design_stands_in_for_the_bodies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = []
+    monkeypatch.setattr(evolution, "picture", lambda task, phi: drawn.append(phi.tolist()) or sheet.picture(task, phi))
+    html = build_evolution([History(make_run(tmp_path))]).content.decode()
+    assert drawn == [[2.7] * 5]
+    (source,) = re.findall(r'<img class="still" src="data:image/png;base64,([^"]+)" alt="Run [^"]+iteration 3 in', html)
+    assert base64.b64decode(source).startswith(b"\x89PNG")
 
 
 def test_what_a_run_is_called_is_text(tmp_path: Path) -> None:
