@@ -63,6 +63,13 @@ def corners(task: Task) -> list[np.ndarray]:
     return [np.where(lengths, space.lo, space.lo), np.where(lengths, space.hi, space.lo), space.hi]
 
 
+def designs_with_corners(task: Task, count: int, seed: int) -> list[np.ndarray]:
+    """Return so many designs (d,) that can be assembled: the corners of the box, and random ones."""
+    rng = np.random.default_rng(seed)
+    chosen = [phi for phi in corners(task) if task.buildable(phi)][:count]
+    return chosen + [random_design(task, rng) for _ in range(count - len(chosen))]
+
+
 def faults_of(task: Task, phi: np.ndarray) -> list[str]:
     """Return where the files of a design differ from the robot that is simulated, whoever reads them."""
     parts, robot = robot_of(task).parts(phi), robot_of(task).file_name
