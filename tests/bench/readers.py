@@ -41,7 +41,7 @@ class Readers:
     tasks: tuple[str, ...] = tuple(sorted(TASKS))
     seed: int = 0
     here: bool = True
-    """Read with the readers of this environment too, which takes about half a minute for each design of a hand."""
+    """Read with the readers of this environment too, which takes some seconds for each design."""
     beside: list[Path] = field(default_factory=list)
     """Interpreters that can import Drake, urchin or MuJoCo; each reads with all that it has."""
 

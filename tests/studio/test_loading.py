@@ -46,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     history = History(make_hand_run(tmp_path_factory.mktemp("runs"), "pen_press"))
     add_policy(history, make_task("pen_press"), 0)
     folder = tmp_path_factory.mktemp("bundle")
-    unpack(build_bundle(history, "best", ["mjcf", "urdf", "stl"]).files, folder)
+    unpack(build_bundle(history, "best", ["mjcf", "urdf", "ros", "stl"]).files, folder)
     return folder
 
 
@@ -114,6 +114,21 @@ def test_the_parser_of_ros_reads_the_description(folder: Path) -> None:
     done = subprocess.run([command, folder / "hand.urdf"], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Successfully Parsed XML" in done.stdout
+
+
+@pytest.mark.slow
+def test_the_line_of_ros_2_builds_the_package(folder: Path, tmp_path: Path) -> None:
+    """Debian has what builds packages of ROS 2, colcon and ament-cmake, without ROS 2 itself."""
+    if not shutil.which("colcon") or not Path("/usr/share/ament_cmake/cmake").is_dir():
+        pytest.skip("install Debian's packages colcon and ament-cmake")
+    (tmp_path / "ros2_ws" / "src").mkdir(parents=True)
+    run_first_line("ROS 2", folder, {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin", "COLCON_TRACE": ""})
+    share = tmp_path / "ros2_ws" / "install" / "pen_press_description" / "share"
+    built = {path.relative_to(share).as_posix() for path in share.rglob("*") if path.is_file()}
+    source = folder / "ros" / "pen_press_description"
+    shown = {path.relative_to(source).as_posix() for path in source.rglob("*") if path.parent != source}
+    assert {f"pen_press_description/{path}" for path in shown if "." in path} <= built
+    assert "ament_index/resource_index/packages/pen_press_description" in built
 
 
 def test_the_line_of_gazebo_runs_in_sdformat(folder: Path, tmp_path: Path) -> None:
