@@ -129,6 +129,18 @@ class Story:
                     continue
         raise FilmError(f"no design of {self.history.folder.id} can be built with this version of {self.task.name}")
 
+    def exactly(self, iteration: int) -> Take:
+        """Return the recorded design of an iteration in its start posture. Raise FilmError if it can't be built."""
+        phi = self.phis[self.recorded(iteration)]
+        try:
+            self.task.check_buildable(phi)
+            return self._take(tuple(phi.tolist()))
+        except ValueError as error:
+            raise FilmError(
+                f"the design of iteration {iteration} can't be built: {error}; its numbers are in the table of designs "
+                "(GET /api/runs/RUN/designs), and an evolution leaves it out"
+            ) from error
+
     @functools.lru_cache(maxsize=2)  # noqa: B019 - a story lives as long as its film is made
     def _take(self, phi: tuple[float, ...]) -> Take:
         record = self.history.record

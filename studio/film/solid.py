@@ -56,6 +56,14 @@ def brightness(normals: np.ndarray) -> np.ndarray:
     return _AMBIENT + _MAIN * np.maximum(normals @ LAMP, 0) + _SECOND * np.maximum(normals @ fill, 0)
 
 
+def fallen(corners: np.ndarray, level: float) -> np.ndarray:
+    """Return the shadow in m that points (..., 3) throw on level ground."""
+    height = np.maximum(corners[..., 2:] - level, 0)
+    fallen = corners - height / LAMP[2] * LAMP
+    fallen[..., 2] = level
+    return fallen
+
+
 def _surface(figure: Figure, i: int) -> Surface:
     mesh, kind, size = figure.meshes[i], figure.kinds[i], figure.sizes[i]
     if mesh is not None:

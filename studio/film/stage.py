@@ -9,7 +9,7 @@ from PIL import Image, ImageFilter
 
 from morph_core.picture import covered
 from studio.film.lens import Lens
-from studio.film.solid import LAMP, Solid, brightness
+from studio.film.solid import Solid, brightness, fallen
 from studio.viewer.figure import Figure, Mesh
 from studio.viewer.scene import CONTACT_COLOUR
 from studio.viewer.take import Take
@@ -19,7 +19,7 @@ FINE = 2
 _SHADOW = 0.30
 """Share of its light that the ground loses in the shadow."""
 _SOFT = 5.0
-"""Radius by which a shadow's edge is blurred, in pixels of a picture that is 1000 pixels high."""
+"""Radius by which a shadow's edge is blurred, in pixels of a picture whose longer side has 1000."""
 _COARSE = 4
 """Fine pixels along a side of one pixel of the shadow: it is blurred anyway."""
 _GHOST = 0.38
@@ -64,12 +64,24 @@ class _Canvas:
 class Stage:
     """A camera on takes of one scene, with a design that stands pale in the background."""
 
-    def __init__(self, lens: Lens, width: int, height: int, *, ghost: Figure | None = None, table: float = 0.0) -> None:
+    def __init__(
+        self,
+        lens: Lens,
+        width: int,
+        height: int,
+        *,
+        ghost: Figure | None = None,
+        table: float = 0.0,
+        contacts: bool = True,
+        shadows: bool = True,
+    ) -> None:
         """Point the camera. Of a table a disc of radius `table` in m is seen; without one, what stands on it throws its
         shadow on clear ground."""
+        self._contacts, self._shadows = contacts, shadows
         self._lens = lens.zoomed(FINE)
         self._width, self._height = width, height
         self._ghost, self._table = ghost, table
+        self._soft = _SOFT * max(width, height) / 1000
         self._grounds: OrderedDict[bytes, tuple[_Canvas, Image.Image]] = OrderedDict()
         self._solids: OrderedDict[int, tuple[Take, list[Solid]]] = OrderedDict()
 
@@ -87,7 +99,7 @@ class Stage:
         colours = np.concatenate([take.robot.colours[robot.part], take.object_colours(frame)[objects.part]])
         corners, normals = (np.concatenate(pair) for pair in zip(*surfaces, strict=True))
         seen = self._lens.project(corners)
-        shadow = self._lens.project(_fallen(corners, _level(take)))
+        shadow = self._lens.project(fallen(corners, _level(take)))
         balls = self._balls(take, frame)
         reach = [middle[None] + sign * radius for middle, radius in balls for sign in (-1, 1)]
         box = self._box(np.concatenate([seen.reshape(-1, 3), shadow.reshape(-1, 3), *reach]))
@@ -143,7 +155,7 @@ class Stage:
             canvas.ground = canvas.pixels[..., 3] == 0
         if not tables.all():
             corners, _ = Solid.of(scenery.take(np.flatnonzero(~tables).tolist())).at(0)
-            self._darken(canvas, self._lens.project(_fallen(corners, level)))
+            self._darken(canvas, self._lens.project(fallen(corners, level)))
             before = canvas.nearness.copy()
             self._add(canvas, scenery, colours, ~tables)
             canvas.ground &= canvas.nearness == before
@@ -173,13 +185,15 @@ class Stage:
 
     def _darken(self, canvas: _Canvas, fallen: np.ndarray) -> None:
         """Put a shadow (F, 3, 3), in pixels of the canvas, on the ground where that is seen."""
+        if not self._shadows:
+            return
         height, width = canvas.nearness.shape
         rows, columns = -(-height // _COARSE), -(-width // _COARSE)
         small = fallen / [_COARSE, _COARSE, 1.0]
         _, at, _ = covered(small, columns, rows)
         mask = np.zeros(rows * columns, np.uint8)
         mask[at] = 255
-        radius = _SOFT * self._height / 1000 * FINE / _COARSE
+        radius = self._soft * FINE / _COARSE
         soft = Image.fromarray(mask.reshape(rows, columns)).filter(ImageFilter.GaussianBlur(radius))
         spread = np.asarray(soft.resize((columns * _COARSE, rows * _COARSE), Image.Resampling.BILINEAR))
         dark = np.where(canvas.ground, spread[:height, :width], 0).astype(np.float32) * (_SHADOW / 255)
@@ -190,6 +204,8 @@ class Stage:
 
     def _balls(self, take: Take, frame: int) -> list[tuple[np.ndarray, float]]:
         """Return middle (3,) and radius, in pixels, of the balls that mark the contacts of a frame."""
+        if not self._contacts:
+            return []
         points, metres = take.contact[frame], _BALL * float(np.max(take.box[1] - take.box[0]))
         middles = [self._lens.project(point) for point in points[np.isfinite(points).all(1)]]
         nearness = [float(middle[2]) if self._lens.perspective else 1.0 for middle in middles]
@@ -197,7 +213,7 @@ class Stage:
 
     def _box(self, points: np.ndarray) -> tuple[int, int, int, int]:
         """Return a rectangle of fine pixels round what is seen at points (n, 3), with room for the shadow's edge."""
-        edge = 4 * FINE * _COARSE + 3 * _SOFT * self._height / 1000 * FINE
+        edge = 4 * FINE * _COARSE + 3 * self._soft * FINE
         step = FINE * _COARSE
         low = np.floor((points[:, :2].min(0) - edge) / step) * step
         high = np.ceil((points[:, :2].max(0) + edge) / step) * step
@@ -226,14 +242,6 @@ def _disc(radius: float, half_thickness: float, top: float) -> Mesh:
 def _level(take: Take) -> float:
     """Return the height in m of the ground that shadows fall on."""
     return float(take.floor[0][2])
-
-
-def _fallen(corners: np.ndarray, level: float) -> np.ndarray:
-    """Return the shadow (F, 3, 3) in m that triangles throw on level ground."""
-    height = np.maximum(corners[..., 2:] - level, 0)
-    fallen = corners - height / LAMP[2] * LAMP
-    fallen[..., 2] = level
-    return fallen
 
 
 def _twice_area(seen: np.ndarray) -> np.ndarray:
