@@ -7,7 +7,7 @@ import numpy as np
 from morph_core.protocol import Evaluation
 from studio.compare import evaluation_of
 from studio.film.plan import Moment, Script, Story
-from studio.viewer.legend import entries
+from studio.viewer.legend import meanings
 from studio.viewer.parts import quantities_of
 from studio.viewer.scene import GHOST_COLOURS
 from studio.viewer.take import FRAMES_PER_SECOND, Take
@@ -151,7 +151,7 @@ def table_of(story: Story, iteration: int) -> list[Group]:
 
 def legend_entries(take: Take, *, ghost: bool) -> list[tuple[Colour, str]]:
     """Return what the colours beside those of the parts mean."""
-    found = list(entries(take))
+    found = list(meanings(take))
     return [*found, (GHOST_COLOURS["ghost"], "pale: initial design")] if ghost else found
 
 
