@@ -269,7 +269,8 @@ class Pages:
             _milestones(sheet, box, marked, x, moment.time)
             for side, story in enumerate(self._script.stories):
                 if story.episode is not None:
-                    self._line(sheet, box, np.array(return_curve(story.episode)), moment.time, "return", colours[side])
+                    curve = np.array(return_curve(story.episode), float).reshape(-1, 2)
+                    self._line(sheet, box, curve, moment.time, "return", colours[side])
             return
         x, y = self._axes["success"]
         _axes(sheet, box, "Success of each evaluation", x, y)

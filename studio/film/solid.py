@@ -91,12 +91,20 @@ def rounded(corners: np.ndarray) -> Surface:
     _, vertex = np.unique(np.round(corners.reshape(-1, 3) / step).astype(np.int64), axis=0, return_inverse=True)
     one, other = _pairs(vertex.reshape(-1))
     alike = (flat[one // 3] * flat[other // 3]).sum(1) >= _CREASE
+    one, other = one[alike], other[alike]
+    weights = _angles(corners).reshape(-1)[other]
     normals = np.zeros((len(corners) * 3, 3))
     for axis in range(3):
-        weights = across[other[alike] // 3, axis]
-        normals[:, axis] = np.bincount(one[alike], weights, len(normals))
+        normals[:, axis] = np.bincount(one, weights * flat[other // 3, axis], len(normals))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return corners, normals.reshape(-1, 3, 3)
+
+
+def _angles(corners: np.ndarray) -> np.ndarray:
+    """Return the angle (F, 3) in radians at each corner of triangles (F, 3, 3): the share that a face has in it."""
+    ahead, back = (np.roll(corners, shift, 1) - corners for shift in (-1, 1))
+    lengths = np.linalg.norm(ahead, axis=2) * np.linalg.norm(back, axis=2)
+    return np.arccos(np.clip((ahead * back).sum(2) / np.maximum(lengths, 1e-300), -1, 1))
 
 
 def _pairs(vertex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
