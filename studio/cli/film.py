@@ -45,12 +45,12 @@ class FilmArguments:
     design: Annotated[str | None, tyro.conf.arg(metavar="best|latest|ITERATION")] = None
     """Design whose episode is filmed; of a still, the design that is shown, by default the best one."""
     episode: Annotated[Which | None, tyro.conf.arg(metavar="median|best|worst|failed")] = None
-    """Which of the recorded episodes is filmed, by default the median one."""
+    """Name of the recorded episode that is filmed, by default the median one."""
     at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Moment of the episode that a still shows."""
     size: Annotated[str | None, tyro.conf.arg(metavar="WxH|WxHmm")] = None
-    """Size of a film in pixels, by default 1920x1080, of a GIF 960x540; of a still on paper, such as 85x60mm or 3.4x2.4in
-    (or its width alone, by default 85mm)."""
+    """Size of a film in pixels, by default 1920x1080, of a GIF 960x540; of a still on paper, such as 85x60mm, 3.4x2.4in
+    or a width alone, by default 85mm."""
     fps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Frames per second of a film, by default 30, of a GIF 20."""
     seconds: Annotated[float | None, tyro.conf.arg(metavar="S")] = None

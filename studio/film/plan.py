@@ -61,9 +61,9 @@ class Film:
     sides: tuple[Side, ...]
     """The run, or two runs that are seen side by side."""
     width: int
-    """Pixels."""
+    """Width in pixels."""
     height: int
-    """Pixels."""
+    """Height in pixels."""
     fps: int
     """Frames per second."""
     seconds: float
@@ -203,7 +203,8 @@ class Script:
         episode = max((story.episode.duration for story in self.stories if story.episode), default=0.0)
         acts: list[tuple[Act, float]] = [("opening", _OPENING)]
         if film.kind == "evolution":
-            acts += [("evolution", film.seconds), ("standing", _STANDING)]
+            acts.append(("evolution", film.seconds))
+            acts.append(("standing", _STANDING))
         if episode:
             acts.append(("episode", episode))
         acts.append(("closing", _CLOSING))
@@ -213,7 +214,7 @@ class Script:
                 f"the film would take {length:.0f} s, and the longest one takes {LONGEST:.0f} s: rendering it would "
                 "take many times as long; give --seconds fewer, or another episode"
             )
-        self.acts = [(act, max(1, round(seconds * film.fps))) for act, seconds in acts]
+        self.acts: list[tuple[Act, int]] = [(act, max(1, round(seconds * film.fps))) for act, seconds in acts]
         self.has_episode = episode > 0
 
     @property

@@ -69,13 +69,13 @@ class Sheet:
         return font.getlength(shown) / self.unit
 
     def _fitting(self, words: str, size: float, bold: bool, room: float | None) -> tuple[ImageFont.FreeTypeFont, str]:
-        largest = max(6, round(size * self.unit))
+        largest, widest = max(6, round(size * self.unit)), np.inf if room is None else room * self.unit
         for pixels in range(largest, max(5, round(largest * 2 / 3)) - 1, -1):
             font = _font(pixels, bold)
-            if room is None or font.getlength(words) <= room * self.unit:
+            if font.getlength(words) <= widest:
                 return font, words
         font = _font(max(5, round(largest * 2 / 3)), bold)
-        while words and font.getlength(words + "…") > room * self.unit:
+        while words and font.getlength(words + "…") > widest:
             words = words[:-1]
         return font, words + "…"
 

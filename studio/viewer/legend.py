@@ -23,6 +23,7 @@ def legend_of(take: Take) -> str:
 
 
 def meanings(take: Take) -> Iterator[tuple[Colour, str]]:
+    """Yield the colours of the things in the scene, each with the word for it."""
     goal = _colour_of(take.scenery, "goal")
     if goal:
         yield goal, "goal"

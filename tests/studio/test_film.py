@@ -342,6 +342,7 @@ def test_an_svg_is_made_of_shapes_alone_and_needs_no_pillow(
     assert numbers.max() <= 50.8
 
 
+@settings(max_examples=30)
 @given(st.lists(st.tuples(arrays.arrays(float, (3, 2), elements=st.integers(0, 20)), st.integers(0, 5)), max_size=8))
 def test_what_is_drawn_later_hides_what_is_farther(triangles: list[tuple[np.ndarray, int]]) -> None:
     seen = np.array([np.column_stack([c + 0.1, np.full(3, d + 0.01 * k)]) for k, (c, d) in enumerate(triangles)])
