@@ -27,8 +27,12 @@ SIZES = {".mp4": (1920, 1080), ".gif": (960, 540)}
 """Size in pixels of a film that is not asked to have another one."""
 RATES = {".mp4": 30, ".gif": 20}
 """Frames per second of a film that is not asked to have another rate."""
-HEIGHTS, ASPECTS, FPS, JOBS = (240, 2160), (1.25, 2.4), (5, 60), (1, 64)
-"""What is allowed: the height in pixels, the width as a multiple of it, frames per second, and processes."""
+HEIGHTS, FPS, JOBS = (240, 2160), (5, 60), (1, 64)
+"""What is allowed: the height in pixels, frames per second, and processes."""
+ASPECTS, SIDE_BY_SIDE = (1.25, 2.4), (1.6, 2.8)
+"""Smallest and largest width of a film as a multiple of its height, and of one with two scenes side by side."""
+MOST_JOBS = 8
+"""Processes that are started unasked, at most: each takes up to half a gigabyte of memory."""
 STILL_SIZE, DPI = "85mm", 300
 """A still that is not asked to be otherwise is as wide as a column of a journal, and has this many pixels per inch."""
 
@@ -60,7 +64,7 @@ class FilmArguments:
     scale_bar: bool = False
     """Draw a scale bar into a still."""
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Processes that render a film, by default as many as there are cores."""
+    """Processes that render a film, by default as many as there are cores, and at most 8."""
 
     @property
     def is_wanted(self) -> bool:
@@ -145,7 +149,7 @@ def _write_video(places: Sequence[tuple[History, str | None]], wanted: FilmArgum
     from studio.cli.terminal import make_console
     from studio.film.reel import Reel
 
-    jobs = cores() if wanted.jobs is None else wanted.jobs
+    jobs = min(cores(), MOST_JOBS) if wanted.jobs is None else wanted.jobs
     _check("--jobs", jobs, JOBS)
     film = _film(places, wanted, out)
     reel = Reel.of(film, out)
@@ -186,7 +190,7 @@ def _film(places: Sequence[tuple[History, str | None]], wanted: FilmArguments, o
         raise UsageError(f'replay: a film ends in {" or ".join(ENDINGS)}, not "{out.suffix[:20]}"')
     if len(places) > 2:
         raise UsageError(f"replay: a film shows one run or two side by side, not {len(places)}")
-    size = _pixels(wanted.size) if wanted.size else SIZES[ending]
+    size = _pixels(wanted.size, SIDE_BY_SIDE if len(places) > 1 else ASPECTS) if wanted.size else SIZES[ending]
     fps = RATES[ending] if wanted.fps is None else wanted.fps
     _check("--fps", fps, FPS)
     try:
@@ -201,10 +205,10 @@ def _film(places: Sequence[tuple[History, str | None]], wanted: FilmArguments, o
         raise UsageError(f"replay: {error}") from error
 
 
-def _pixels(words: str) -> tuple[int, int]:
+def _pixels(words: str, aspects: tuple[float, float]) -> tuple[int, int]:
     """Return the size in pixels of words such as 1920x1080. UsageError says what is allowed."""
     low, high = HEIGHTS
-    narrow, wide = ASPECTS
+    narrow, wide = aspects
     if match := re.fullmatch(r"(\d{1,5})x(\d{1,5})", words.strip().lower()):
         width, height = int(match[1]), int(match[2])
         even = width % 2 == 0 and height % 2 == 0

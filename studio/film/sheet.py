@@ -64,7 +64,7 @@ class Sheet:
 
         Words that would have to be smaller than two thirds end with an ellipsis.
         """
-        font, shown = self._fitting(words, size, bold, room)
+        font, shown = self._fitting(" ".join(words.split()), size, bold, room)
         self._draw.text((x * self.unit, y * self.unit), shown, colour, font, anchor)
         return font.getlength(shown) / self.unit
 

@@ -1,5 +1,6 @@
 """The words of a film: what its captions, its legend and its table of phi say in each frame."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -155,6 +156,7 @@ def legend_entries(take: Take, *, ghost: bool) -> list[tuple[Colour, str]]:
     return [*found, (GHOST_COLOURS["ghost"], "pale: initial design")] if ghost else found
 
 
+@functools.lru_cache(maxsize=4)
 def success_curve(story: Story) -> list[tuple[int, float]]:
     """Return the success of every evaluation, by its iteration."""
     measured = sorted({e.iteration for e in story.evaluations})
