@@ -74,7 +74,7 @@ def draw(surfaces: Sequence[Surface], camera: Camera, light: Light = BESIDE_THE_
     scale = camera.scale * _OVERSAMPLING
     corners = (triangles - camera.centre) * [scale, -scale, 1.0] + [width / 2, height / 2, 0.0]
     shaded = colours * light.on(normals)[:, None]
-    which, at, depth = _covered(corners, width, height)
+    which, at, depth = covered(corners, width, height)
     nearest = np.full(height * width, -np.inf)
     np.maximum.at(nearest, at, depth)
     front = depth == nearest[at]
@@ -93,7 +93,7 @@ def _averaged(canvas: np.ndarray) -> np.ndarray:
     return np.round(255 * total).astype(np.uint8)
 
 
-def _covered(corners: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def covered(corners: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the pixels whose middles triangles (F, 3, 3) cover: (n,) each, which triangle, which pixel, how near."""
     x, y, _ = np.ascontiguousarray(np.moveaxis(corners, (2, 1), (0, 1)))  # (3, F) each: limits of rows are fast
     top, rows = _between(y.min(0), y.max(0), height)
