@@ -9,7 +9,7 @@ import contextlib
 import functools
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from morph_core.protocol import Stop
 from morph_core.run_folder import RunFolder
 from studio.cli.choice import open_run as find
 from studio.compare import evaluation_of
-from studio.export.bundle import build_bundle, bundle_name
+from studio.export.bundle import build_bundle, bundle_name, task_of
 from studio.export.errors import ExportError
 from studio.export.place import write_bundle
 from studio.inquest import start_child
@@ -143,18 +143,26 @@ class Design:
         numbers = space.table({"initial": self.history.initial_phi, "this design": self.phi}, title)
         evaluation = evaluation_of(self.history, self.iteration)
         measured = evaluation._repr_html_() if evaluation else "<p>It was not evaluated.</p>"
+        return f"{self._drawn()}{numbers}{measured}"
+
+    def _drawn(self) -> str:
+        """Return the picture, with a sentence before it where the robot can't be put together."""
         try:
-            drawn = self.picture._repr_html_()
+            task = task_of(self.history)
+        except ExportError as error:
+            return f"<p>There is no picture of it: {escape(str(error))}.</p>"
+        try:
+            task.check_buildable(self.phi)
         except ValueError as error:
-            drawn = f"<p>There is no picture of it: {escape(str(error))}.</p>"
-        return f"{drawn}{numbers}{measured}"
+            return f"<p>It can't be built: {escape(str(error))}.</p>{self.picture._repr_html_()}"
+        return self.picture._repr_html_()
 
 
 @dataclass(frozen=True)
 class Picture:
     """A drawing that a notebook shows."""
 
-    svg: str
+    svg: str = field(repr=False)
 
     def _repr_html_(self) -> str:
         return f'<div style="max-width:{_PICTURE_WIDTH}px">{self.svg}</div>'
@@ -164,7 +172,7 @@ class Picture:
 class View:
     """What a notebook shows of a design, live or still."""
 
-    html: str
+    html: str = field(repr=False)
 
     def _repr_html_(self) -> str:
         return self.html

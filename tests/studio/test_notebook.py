@@ -10,7 +10,6 @@ from pathlib import Path
 
 import msgspec
 import nbformat
-import numpy as np
 import pytest
 from conftest import ROOT, append, in_mood, make_run, progress, stand_in
 from hypothesis import given
@@ -22,13 +21,14 @@ from morph_core.hypertext import table
 from studio import notebook
 from studio.cli.arguments import UsageError
 from studio.notebook import Run, open_run, open_study, train
-from studio.show.page import build_page
+from studio.show.page import Page
 from studio.study.plan import StudyError
-from tests.hands import write_hand_run, write_trained_run
+from tests.hands import write_hand_run
 from tests.studies import Made, write_study
 
 NOTEBOOK = ROOT / "examples" / "notebook.ipynb"
 LARGEST = 1 << 20
+PAGE = """<p title="a 'b'">&amp; <script>1 < 2</script>"""
 WORDS = st.text(st.characters(min_codepoint=32, exclude_categories=["Cc", "Cs"]), min_size=1).filter(
     lambda word: word == word.strip() and "\xa0" not in word
 )
@@ -138,29 +138,36 @@ def test_a_design_shows_its_picture_its_numbers_and_its_success(reacher: Run) ->
 
 
 def test_a_design_that_cant_be_built_shows_its_numbers_and_why(tmp_path: Path) -> None:
-    task = make_task("pen_press")
-    phi = np.concatenate([np.full(task.hand.fingers, 0.3), np.full(task.hand.fingers, 0.4)])
-    phi[1] = -0.3
-    design = open_run(write_hand_run(tmp_path, "pen_press", phi.tolist()).path).design()
-    with pytest.raises(ValueError, match="finger"):
-        task.check_buildable(phi)
-    assert len(cells(design._repr_html_())) > len(phi)
+    phi = make_task("pen_press").design_space.initial.tolist()
+    phi[0] = 1.5  # the first finger stands where the second one does
+    written = open_run(write_hand_run(tmp_path, "pen_press", phi).path).design()._repr_html_()
+    assert written.startswith("<p>It can't be built: fingers 1 and 2 stand")
+    assert "<svg" in written
+    assert ["placement_1", "rad", "-3.142", "3.142", "0", "1.5", ""] in cells(written)
 
 
-def test_a_hand_is_viewed_live_in_a_frame_that_reaches_nothing_else(tmp_path: Path) -> None:
-    run = open_run(write_trained_run(tmp_path, "pen_press").path)
-    (frame,) = html.fromstring(f"<div>{run.design().view()._repr_html_()}</div>")
+@pytest.fixture
+def hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """A run whose live page is short."""
+    monkeypatch.setattr(notebook, "build_page", lambda _, which: Page(f"{PAGE}{which}".encode(), ""))
+    phi = make_task("pen_press").design_space.initial.tolist()
+    return open_run(write_hand_run(tmp_path, "pen_press", phi).path)
+
+
+def test_a_hand_is_viewed_live_in_a_frame_that_reaches_nothing_else(hand: Run) -> None:
+    (frame,) = html.fromstring(f"<div>{hand.design().view()._repr_html_()}</div>")
     assert frame.get("sandbox") == "allow-scripts"
-    assert frame.get("srcdoc") == build_page(run.history, "1").content.decode()
+    assert frame.get("srcdoc") == f"{PAGE}1"
 
 
-def test_a_live_view_can_lie_in_a_file_beside_the_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = open_run(write_trained_run(tmp_path, "pen_press").path)
+def test_a_live_view_can_lie_in_a_file_beside_the_notebook(
+    hand: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    written = run.design().view(height=500, file="hand & co.html")._repr_html_()
+    written = hand.design().view(height=500, file="hand & co.html")._repr_html_()
     assert 'src="hand &amp; co.html"' in written
     assert "height:500px" in written
-    assert b"</html>" in Path("hand & co.html").read_bytes()
+    assert Path("hand & co.html").read_text() == f"{PAGE}1"
 
 
 def test_what_cant_run_live_is_viewed_as_a_picture_and_a_table(reacher: Run) -> None:
