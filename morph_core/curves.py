@@ -1,14 +1,13 @@
 """The curves of a run, drawn with matplotlib: success, return, the proxy's agreement with the physics, and phi."""
 
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from morph_core.protocol import Evaluation, Parameter, Progress
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 COLOURS = (
@@ -19,7 +18,7 @@ three that keep the largest distance from these and from one another."""
 INK = "#1c2733"
 """Colour of text and axes."""
 FAINT = "#8a929c"
-STYLE: Mapping[str, Any] = {
+STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "font.size": 9,
     "font.family": "sans-serif",
@@ -49,7 +48,7 @@ STYLE: Mapping[str, Any] = {
 _WIDTH, _HEIGHT = 9.6, 2.5
 """Inches: width of a figure, and height of a row of its panels."""
 _COLUMNS = 2
-Draw = Callable[["Axes"], None]
+Draw = Callable[[Any], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,33 +111,33 @@ def _panels(
         yield lambda axes, unit=unit: _phi(axes, progress, parameters, unit)
 
 
-def _success(axes: "Axes", progress: Sequence[Progress], evaluations: Sequence[Evaluation]) -> None:
+def _success(axes: Any, progress: Sequence[Progress], evaluations: Sequence[Evaluation]) -> None:
     _line(axes, progress, "success", 100, label="in training", color=FAINT, linewidth=1)
     _line(axes, evaluations, "sampled_success", 100, label="sampled", color=COLOURS[0], marker="o", markersize=3)
     _line(axes, evaluations, "deterministic_success", 100, label="mean action", color=COLOURS[1], linestyle="--")
     axes.set(ylabel="success [% of episodes]", ylim=(-3, 103))
 
 
-def _return(axes: "Axes", progress: Sequence[Progress], evaluations: Sequence[Evaluation]) -> None:
+def _return(axes: Any, progress: Sequence[Progress], evaluations: Sequence[Evaluation]) -> None:
     _line(axes, progress, "episode_return", label="in training", color=FAINT, linewidth=1)
     _line(axes, evaluations, "sampled_return", label="sampled", color=COLOURS[0], marker="o", markersize=3)
     _line(axes, evaluations, "deterministic_return", label="mean action", color=COLOURS[1], linestyle="--")
     axes.set(ylabel="return [reward]")
 
 
-def _cosine(axes: "Axes", progress: Sequence[Progress]) -> None:
+def _cosine(axes: Any, progress: Sequence[Progress]) -> None:
     _line(axes, progress, "cosine", color=COLOURS[2])
     axes.axhline(0, color=FAINT, linewidth=1)
     axes.set(ylabel="cosine of g_task, g_hw", ylim=(-1.05, 1.05))
 
 
-def _divergence(axes: "Axes", progress: Sequence[Progress]) -> None:
+def _divergence(axes: Any, progress: Sequence[Progress]) -> None:
     _line(axes, progress, "divergence", label="divergence D", color=COLOURS[3])
     _line(axes, progress, "search_cost", label="search cost", color=INK, linestyle="--")
     axes.set(ylabel="mean squared distance", yscale="log")
 
 
-def _phi(axes: "Axes", progress: Sequence[Progress], parameters: Sequence[Parameter], unit: str) -> None:
+def _phi(axes: Any, progress: Sequence[Progress], parameters: Sequence[Parameter], unit: str) -> None:
     steps = [0, *(p.env_steps for p in progress)]
     shown = [(i, p) for i, p in enumerate(parameters) if p.unit == unit]
     for place, (i, parameter) in enumerate(shown):
@@ -147,7 +146,7 @@ def _phi(axes: "Axes", progress: Sequence[Progress], parameters: Sequence[Parame
     axes.set(ylabel=f"φ [{unit}]" if unit else "φ")
 
 
-def _line(axes: "Axes", rows: Sequence[Progress | Evaluation], measure: str, factor: float = 1, **look: Any) -> None:
+def _line(axes: Any, rows: Sequence[Progress | Evaluation], measure: str, factor: float = 1, **look: Any) -> None:
     """Draw one measure of iterations or evaluations over environment steps, where it was taken."""
     known = [(row.env_steps, factor * value) for row in rows if (value := getattr(row, measure)) is not None]
     if known:

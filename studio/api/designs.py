@@ -117,8 +117,6 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         names = [name for part in formats for name in part.split(",")] if formats else None
         return export(history, which, names, phi, servo, printer)
 
-    Asked = Annotated[Bundle, Depends(exported)]
-
     @router.get("/metrics", responses=gives(Metrics), summary="Traces: one entry per iteration and per evaluation")
     def metrics(run_id: str) -> Response:
         history = runs.get(run_id)
@@ -150,7 +148,7 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives_file("application/zip", "One design for simulators, printers and people"),
         summary="Download a design: best, latest or an iteration",
     )
-    def export_design(bundle: Asked) -> Response:
+    def export_design(bundle: Annotated[Bundle, Depends(exported)]) -> Response:
         return _download(bundle.name, bundle.content, "application/zip")
 
     @router.get(
@@ -158,7 +156,7 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives(Checked),
         summary="What an export would hold, and what was compared; it is refused if anything disagrees",
     )
-    def check_design(bundle: Asked) -> Response:
+    def check_design(bundle: Annotated[Bundle, Depends(exported)]) -> Response:
         files = [ExportedFile(path, len(content)) for path, content in sorted(bundle.files.items())]
         checks = [Comparison(c.name, c.passed, c.worst, c.allowed, c.detail) for c in bundle.checks]
         return reply(Checked(bundle.name, len(bundle.content), files, checks))
