@@ -117,11 +117,13 @@ class DesignSpace:
 
     def table(self, designs: Mapping[str, np.ndarray], caption: str = "") -> str:
         """Return designs (d,) by their names as an HTML table: a row for each parameter, with its unit and bounds."""
+        locks = not self.free.all()
         rows = [
-            [p.name, p.unit, f"{p.lo:.4g}", f"{p.hi:.4g}", *(f"{phi[i]:.4g}" for phi in designs.values()), _lock(p)]
+            [p.name, p.unit, *(f"{value:.4g}" for value in (p.lo, p.hi, *(phi[i] for phi in designs.values())))]
+            + [_lock(p)] * locks
             for i, p in enumerate(self.parameters)
         ]
-        return table(["parameter", "unit", "from", "to", *designs, "locked at"], rows, caption)
+        return table(["parameter", "unit", "from", "to", *designs, *["locked at"] * locks], rows, caption)
 
     def _repr_html_(self) -> str:
         return self.table({"initial": self.initial})

@@ -54,7 +54,7 @@ def _anchors(root: html.HtmlElement) -> set[str]:
 def outside_requests(site: Path) -> Iterator[str]:
     """Yield what pages ask of other servers, what they miss, and the errors of their scripts, in light and in dark."""
     handler = functools.partial(_Quiet, directory=site)
-    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server, sync_playwright() as playwright:
+    with _Server(("127.0.0.1", 0), handler) as server, sync_playwright() as playwright:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         home = f"http://127.0.0.1:{server.server_address[1]}/"
         browser = playwright.chromium.launch(
@@ -86,6 +86,11 @@ def _found(page: Page) -> bool:
     page.keyboard.type(SOUGHT)
     page.locator(".md-search-result__item").first.wait_for(timeout=20_000)
     return page.locator(".md-search-result__item").count() > 0
+
+
+class _Server(ThreadingHTTPServer):
+    def handle_error(self, *_: object) -> None:
+        """Say nothing of a browser that has left before the end of an answer."""
 
 
 class _Quiet(SimpleHTTPRequestHandler):

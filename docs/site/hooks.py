@@ -21,6 +21,7 @@ DOCUMENTS = (
     "studio/page/icon.svg", "assets/README.md", "examples/own_robot/README.md", "examples/*.py", "examples/*.ipynb",
 )  # fmt: skip
 """The files of the repository that are pages of the site, and those that the pages show or link to."""
+REPORTS = "docs/studies/*/report.html"
 NOTEBOOK = "examples/notebook.ipynb"
 LIVE = "<!-- live hands -->"
 """Place in the gallery where the hands are named that run in the page."""
@@ -32,16 +33,32 @@ _COMMENT = re.compile(r"^<!-- .*? -->\n", re.MULTILINE)
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Return the theme's files, and ours under the paths that they have in the repository."""
     theme = [file for file in files if not str(file.abs_src_path).startswith(config.docs_dir)]
-    ours = [_lying(path, ROOT, config) for pattern in DOCUMENTS for path in sorted(ROOT.glob(pattern))]
+    paths = {path for pattern in DOCUMENTS for path in ROOT.glob(pattern)} - {*ROOT.glob(REPORTS)}
+    ours = [_lying(path, ROOT, config) for path in sorted(paths)]
     made = [_lying(path, _made(), config) for path in sorted(_made().rglob("*.*"))]
-    page = File.generated(config, NOTEBOOK.replace(".ipynb", ".md"), content=_notebook_page(ROOT / NOTEBOOK))
-    return Files([*theme, *ours, *made, page])
+    written = [
+        File.generated(config, NOTEBOOK.replace(".ipynb", ".md"), content=_notebook_page(ROOT / NOTEBOOK)),
+        *(
+            File.generated(config, path.relative_to(ROOT).as_posix(), content=_without_dead_links(path))
+            for path in sorted(ROOT.glob(REPORTS))
+        ),
+    ]
+    return Files([*theme, *ours, *made, *written])
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
     """Name what the site alone has; leave out the comments by which tables are written, which hide what follows."""
     named = markdown.replace(LIVE, "\n".join(f"- [{title}](live/{task}.html)" for task, title in HANDS.items()))
     return _COMMENT.sub("\n", named.replace("notebook.ipynb)", "notebook.md)"))
+
+
+def _without_dead_links(report: Path) -> str:
+    """Return a report, which was copied from its study, with links to those files alone that were copied too."""
+
+    def checked(link: re.Match[str]) -> str:
+        return link[0] if (report.parent / link[1]).is_file() else link[2]
+
+    return re.sub(r'<a href="([\w.]+)">([^<]*)</a>', checked, report.read_text())
 
 
 def _lying(path: Path, folder: Path, config: MkDocsConfig) -> File:
