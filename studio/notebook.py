@@ -31,6 +31,7 @@ from studio.log import sender_here
 from studio.new_run import StartRun, prepare_run
 from studio.preview import svg_of
 from studio.settings import at_home, default_runs
+from studio.show.evolution import build_evolution
 from studio.show.page import build_page
 from studio.sketch import sketch_of
 from studio.study.plan import StudyError
@@ -93,6 +94,15 @@ class Run:
         self.history.poll()
         return self.history.plot()
 
+    def view(self, height: int = 720, file: str | Path | None = None) -> "View":
+        """Return the whole evolution of the run, as `morph-studio replay --html` writes it, to be scrubbed and played.
+
+        It has up to 5 MB, which the notebook holds: with `file`, a path below the notebook's folder, it holds that link
+        alone.
+        """
+        self.history.poll()
+        return _framed("The evolution of the run", build_evolution([self.history]).content, height, file)
+
     def _repr_html_(self) -> str:
         self.history.poll()
         return self.history._repr_html_()
@@ -116,10 +126,7 @@ class Design:
             page = build_page(self.history, str(self.iteration))
         except ExportError as error:
             return View(f"<p>{escape(str(error))}. Its picture and its numbers are here.</p>{self._repr_html_()}")
-        if file is None:
-            return View(_frame(f'srcdoc="{escape(page.content.decode())}"', height))
-        write_file(at_home(file), page.content)
-        return View(_frame(f'src="{escape(Path(file).as_posix())}"', height))
+        return _framed("The design, live", page.content, height, file)
 
     @property
     def picture(self) -> "Picture":
@@ -209,10 +216,13 @@ def _folder_of_runs(runs: str | Path | None) -> Path:
     return default_runs() if runs is None else at_home(runs)
 
 
-def _frame(source: str, height: int) -> str:
-    """Return an iframe for a page of ours, whose scripts can reach nothing of the notebook's."""
+def _framed(title: str, page: bytes, height: int, file: str | Path | None) -> View:
+    """Return a page of ours in an iframe, whose scripts can reach nothing of the notebook's."""
+    source = f'srcdoc="{escape(page.decode())}"' if file is None else f'src="{escape(Path(file).as_posix())}"'
+    if file is not None:
+        write_file(at_home(file), page)
     look = f"width:100%;height:{height}px;border:1px solid #8a929c"
-    return f'<iframe title="The design, live" sandbox="allow-scripts" style="{look}" {source}></iframe>'
+    return View(f'<iframe title="{title}" sandbox="allow-scripts" style="{look}" {source}></iframe>')
 
 
 # --- a training below its cell ----------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from morph_core.hypertext import table
 from studio import notebook
 from studio.cli.arguments import UsageError
 from studio.notebook import Run, open_run, open_study, train
-from studio.show.page import Page
+from studio.show.sheet import Page
 from studio.study.plan import StudyError
 from tests.hands import write_hand_run
 from tests.studies import Made, write_study
@@ -171,6 +171,13 @@ def test_a_live_view_can_lie_in_a_file_beside_the_notebook(
     assert Path("hand & co.html").read_text() == f"{PAGE}1"
 
 
+def test_the_evolution_of_a_run_is_viewed_in_a_frame_too(reacher: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(notebook, "build_evolution", lambda runs: Page(f"{PAGE}{runs[0].iteration}".encode(), ""))
+    append(reacher.history.folder, progress(4))
+    (frame,) = html.fromstring(f"<div>{reacher.view()._repr_html_()}</div>")
+    assert (frame.get("sandbox"), frame.get("srcdoc")) == ("allow-scripts", f"{PAGE}4")
+
+
 def test_what_cant_run_live_is_viewed_as_a_picture_and_a_table(reacher: Run) -> None:
     written = reacher.design().view()._repr_html_()
     assert "show is for hands that MuJoCo simulates, such as pen_press; this run is of reacher" in unescape(written)
@@ -178,10 +185,13 @@ def test_what_cant_run_live_is_viewed_as_a_picture_and_a_table(reacher: Run) -> 
     assert "<iframe" not in written
 
 
-def test_a_design_is_exported_where_it_is_asked_for(reacher: Run, tmp_path: Path) -> None:
-    folder = reacher.design("0").export(tmp_path / "arm", ["mjcf"])
-    assert folder == tmp_path / "arm"
-    assert next(folder.rglob("*.xml"))
+def test_a_design_is_exported_where_it_is_asked_for(
+    reacher: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(notebook, "build_bundle", lambda *asked: asked[1:])
+    monkeypatch.setattr(notebook, "write_bundle", lambda bundle, path: (bundle, path))
+    assert reacher.design("0").export(tmp_path / "arm", ["mjcf"]) == (("0", ["mjcf"]), tmp_path / "arm")
+    assert reacher.design("3").export()[1].parent == reacher.history.folder.exports
 
 
 def test_a_run_that_is_not_there_lists_the_choices(reacher: Run) -> None:
