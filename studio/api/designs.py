@@ -6,7 +6,7 @@ from typing import Annotated
 
 import anyio.to_thread
 import numpy as np
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from morph_core.catalogue import make_task
 from morph_core.forces import contact_forces
@@ -109,10 +109,10 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
     def exported(
         run_id: str,
         which: str,
-        formats: list[str] | None,
-        phi: list[float] | None,
-        servo: str | None,
-        printer: str | None,
+        formats: Formats = None,
+        phi: OtherPhi = None,
+        servo: Servo = None,
+        printer: Printer = None,
     ) -> Bundle:
         history = runs.get(run_id)
         history.design(which)  # an unknown one is a 404, not a failed export
@@ -160,15 +160,7 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives_file("application/zip", "One design for simulators, printers and people"),
         summary="Download a design: best, latest or an iteration",
     )
-    def export_design(
-        run_id: str,
-        which: str,
-        formats: Formats = None,
-        phi: OtherPhi = None,
-        servo: Servo = None,
-        printer: Printer = None,
-    ) -> Response:
-        bundle = exported(run_id, which, formats, phi, servo, printer)
+    def export_design(bundle: Annotated[Bundle, Depends(exported)]) -> Response:
         return _download(bundle.name, bundle.content, "application/zip")
 
     @router.get(
@@ -176,15 +168,7 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives(Checked),
         summary="What an export would hold, and what was compared; it is refused if anything disagrees",
     )
-    def check_design(
-        run_id: str,
-        which: str,
-        formats: Formats = None,
-        phi: OtherPhi = None,
-        servo: Servo = None,
-        printer: Printer = None,
-    ) -> Response:
-        bundle = exported(run_id, which, formats, phi, servo, printer)
+    def check_design(bundle: Annotated[Bundle, Depends(exported)]) -> Response:
         files = [ExportedFile(path, len(content)) for path, content in sorted(bundle.files.items())]
         checks = [Comparison(c.name, c.passed, c.worst, c.allowed, c.detail) for c in bundle.checks]
         return reply(Checked(bundle.name, len(bundle.content), files, checks))
