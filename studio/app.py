@@ -33,6 +33,7 @@ from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.news import news_router
+from studio.api.recorded import recorded_router
 from studio.api.runs import runs_router
 from studio.api.shelf import shelf_router
 from studio.api.study import study_router
@@ -135,6 +136,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
             family=lambda run_id: tree_of(run_id, runs.parents()),
             album=album,
             others=runs,
+            recordings=runs.recordings,
         )
         if 0 < client.camera.image_width < NARROW_PAGE:
             viewer.playback.panel.minimize()  # with the column in which it stands
@@ -216,6 +218,7 @@ def create_app(
     for router in (
         tasks_router(),
         runs_router(watched),
+        recorded_router(watched.recordings),
         designs_router(watched, build_bundle),
         imports_router(watched),
         compare_router(watched),

@@ -35,6 +35,7 @@ from studio.cost import cost_of
 from studio.inquest import Inquest
 from studio.new_run import StartRun, prepare_run
 from studio.overdue import forget_stops, kill_is_offered, stop_waits
+from studio.recordings import Recordings
 from studio.shelf import trash
 from studio.shelf.marks import FILE, Marks, MarksChange, changed, read_marks, with_star, write_marks
 from studio.shelf.outcome import Outcome, evaluations_of, landmarks, outcome_of
@@ -98,12 +99,15 @@ class Runs:
         spawn: Callable[..., subprocess.Popen[bytes]] = spawn_trainer,
         launcher: Slurm | None = None,
         trainers: int | None = None,
+        recordings: Recordings | None = None,
     ) -> None:
         """Take the runs of `folder`. New ones are started by `launcher`, by default as processes of this machine.
 
         While `trainers` are at work on this machine, whoever has started them, further runs wait; None lets none wait.
+        The `recordings`, by default those that come with the studio, are opened like runs, but never listed as such.
         """
         self.folder = folder
+        self.recordings = recordings or Recordings()
         self.shown: str | None = None
         """The run that a browser opens which has chosen none; None for the start panel."""
         self._asked: tuple[str, int | None] | None = None
@@ -130,11 +134,24 @@ class Runs:
 
     def get(self, run_id: str) -> History:
         """Return the run as it is now; raise RunFolderError if it is unknown or unreadable."""
-        folder = find_run(self.folder, run_id)
+        folder = self._find(run_id)
         with self._turn(run_id):
             history = self._tail(folder)
             self._inquest.look(history)
             return history
+
+    def _find(self, run_id: str) -> RunFolder:
+        """Return a run of the folder, or a recorded one; raise RunFolderError if there is no such run."""
+        if run_id in self.recordings and not (self.folder / run_id).exists():
+            return self.recordings.get(run_id).history.folder
+        return find_run(self.folder, run_id)
+
+    def _own(self, run_id: str, what: str) -> RunFolder:
+        """Return a run of the folder; ValueError for a recorded one, which can't be asked for `what`."""
+        folder = self._find(run_id)
+        if folder.path.parent != self.folder:
+            self.recordings.refuse(run_id, what)
+        return folder
 
     def _turn(self, run_id: str) -> threading.RLock:
         """Return the lock under which one run is read, so that a slow or strange one keeps no other waiting."""
@@ -160,7 +177,7 @@ class Runs:
 
     def summary(self, run_id: str) -> Summary:
         """Return one line about a run, whatever its state; raise RunFolderError only if there is no such run."""
-        folder = find_run(self.folder, run_id)
+        folder = self._find(run_id)
         try:
             line = self._ended_summary(folder)
             if line is None:
@@ -199,22 +216,22 @@ class Runs:
 
     def row(self, run_id: str) -> Row:
         """Return one run with what it has come to; raise RunFolderError if there is no such run."""
-        return self._row(self.summary(run_id))
+        return Row(**msgspec.structs.asdict(self.summary(run_id)), outcome=self.outcome(run_id))
 
     def outcome(self, run_id: str) -> Outcome:
         """Return what a run has come to, nothing where its log is not there; RunFolderError if there is no such run."""
-        return self._outcome(find_run(self.folder, run_id))
+        return self._outcome(self._find(run_id))
 
     def design(self, run_id: str, which: str) -> tuple[RunRecord, list[float]]:
         """Return a run's record and phi of "best", "latest" or an iteration; raise RunFolderError if there is none."""
         if which == "best" and (best := self.outcome(run_id).best):  # known without reading the whole run
-            return find_run(self.folder, run_id).record(), best.phi
+            return self._find(run_id).record(), best.phi
         history = self.get(run_id)
         return history.record, history.design(which)[1].tolist()
 
     def evaluations(self, run_id: str) -> tuple[RunRecord, list[Evaluation]]:
         """Return a run's record and its evaluations; raise RunFolderError if there is no such run."""
-        folder = find_run(self.folder, run_id)
+        folder = self._find(run_id)
         with self._turn(run_id):
             return folder.record(), evaluations_of(self._landmarks(folder))
 
@@ -247,7 +264,8 @@ class Runs:
         names = self.ids()
         wanted = {*names[:WATCHED], *self._inquest.children, self.shown, *selected}
         histories = {}
-        for name in names:
+        recorded = [name for name in wanted.difference(names) if name in self.recordings]
+        for name in (*names, *recorded):
             if name in wanted:
                 with contextlib.suppress(RunFolderError):
                     histories[name] = self.get(name)
@@ -276,7 +294,7 @@ class Runs:
 
     def mark(self, run_id: str, change: MarksChange) -> Marks:
         """Change what is noted about a run. Raise ValueError, nothing changed, if it is too long or unreadable."""
-        folder = find_run(self.folder, run_id)
+        folder = self._own(run_id, "marked")
         with self._turn(run_id):
             marks = changed(read_marks(folder.path), change)
             write_marks(folder.path, marks)
@@ -287,8 +305,8 @@ class Runs:
 
         Raise ValueError, nothing changed, if too many are starred.
         """
+        folder = self._own(run_id, "marked")
         iteration, _ = self.get(run_id).design(design)
-        folder = find_run(self.folder, run_id)
         with self._lock:
             marks = with_star(read_marks(folder.path), iteration, starred)
             write_marks(folder.path, marks)
@@ -296,7 +314,7 @@ class Runs:
 
     def discard(self, run_id: str) -> Trashed:
         """Move a run into the trash. Raise ValueError if a trainer is at work on it, or it waits for one."""
-        folder = find_run(self.folder, run_id)
+        folder = self._own(run_id, "deleted")
         with self._turn(run_id):
             status = self.summary(run_id).status
             if status not in _AT_REST:
@@ -323,6 +341,8 @@ class Runs:
 
         Raise ValueError if it is not allowed, or the cluster refuses it; then there is no such run.
         """
+        if wish.branch:
+            self._own(wish.branch.run, "branched from")
         folder = prepare_run(self.folder, wish)
         self._costs[folder.id] = cost_of(folder.record())
         if self._launcher:
@@ -360,7 +380,7 @@ class Runs:
         """
         if further is not None:
             further = limits.iterations(further, "further")
-        folder = find_run(self.folder, run_id)
+        folder = self._own(run_id, "resumed")
         watched = not self.get(run_id).pulse.is_alive and at_work(folder.heartbeat)  # before it is anybody's turn
         with self._starting, self._turn(run_id):
             history = self.get(run_id)
@@ -392,6 +412,7 @@ class Runs:
         Kill ends its trainer, and Stop takes a run that waits out of the queue; that no trainer acknowledges: the id
         is 0.
         """
+        self._own(run_id, "steered")
         history = self.get(run_id)
         if isinstance(command, Kill | Stop) and self._waiting.take(run_id):
             inside.touch(history.folder.path, CANCELLED)

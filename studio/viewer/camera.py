@@ -75,6 +75,8 @@ class Camera:
         """Where a person has left the camera, by the task; None where the whole scene was asked for since."""
         self._pointed: Pose | None = None
         self._is_narrow = False
+        self._is_covered = True
+        """Whether panels cover the sides of a usual page."""
         self._has_arrived = False
         """Whether the browser has told since that its camera is where it was pointed: what it tells before is old."""
         if isinstance(host, viser.ViserServer):
@@ -102,6 +104,13 @@ class Camera:
                 self._left[self._task] = None
             self._point()
 
+    def uncover(self, uncovered: bool) -> None:
+        """Use the whole width of a usual page, where no panels cover its sides, or what they leave free."""
+        with self._lock:
+            if uncovered == self._is_covered:
+                self._is_covered = not uncovered
+                self._point()
+
     @property
     def ticks(self) -> dict[str, Tick]:
         """Return where a person has left the camera, as it can be put back; empty where the whole scene is seen."""
@@ -124,9 +133,9 @@ class Camera:
         if isinstance(host, viser.ViserServer):
             start.fov, (start.position, start.look_at) = FIELD_OF_VIEW, camera(*self._box)
             for client in clients_of(host):
-                _aim(client, _whole(client, self._box))
+                _aim(client, _whole(client, self._box, self._is_covered))
             return
-        pose = left or _whole(host, self._box)
+        pose = left or _whole(host, self._box, self._is_covered)
         # viser's client goes to where it begins in its own time, so for one browser that is where it is pointed, too.
         start.fov, start.position, start.look_at = FIELD_OF_VIEW, pose.position, pose.target
         self._has_arrived = pose.is_near(Pose(host.camera.position, host.camera.look_at))
@@ -152,14 +161,15 @@ class Camera:
         """Point the camera of a client that has just come; that of a usual page begins where it should."""
         with self._lock:
             if self._box is not None and client.camera.aspect < NARROW:
-                _aim(client, _whole(client, self._box))
+                _aim(client, _whole(client, self._box, self._is_covered))
 
 
 def _aim(client: viser.ClientHandle, pose: Pose) -> None:
     client.camera.fov, client.camera.position, client.camera.look_at = FIELD_OF_VIEW, pose.position, pose.target
 
 
-def _whole(client: viser.ClientHandle, box: Corners) -> Pose:
-    """Return the pose in which a client sees the whole box, whatever the shape of its page."""
+def _whole(client: viser.ClientHandle, box: Corners, is_covered: bool) -> Pose:
+    """Return the pose in which a client sees the whole box, whatever the shape of its page, and beside panels where it
+    is covered by some."""
     aspect = client.camera.aspect
-    return Pose(*camera(*box, aspect if aspect < NARROW else USUAL_ASPECT))
+    return Pose(*camera(*box, USUAL_ASPECT if is_covered and aspect >= NARROW else aspect))

@@ -19,6 +19,7 @@ from morph_core.protocol import AnyCommand, Pause
 from studio.bridge import GuardedViser
 from studio.desks import KEPT, MOST, Desks, key_of
 from studio.export.bundle import Bundle
+from studio.recordings import Recordings
 from studio.viewer import Viewer
 from studio.viewer.view import View
 
@@ -62,6 +63,7 @@ class Room:
             family=lambda _: None,
             album=Stars(),
             others=Neighbours(self.histories),
+            recordings=Recordings(),
         )
         self.viewers.append(viewer)
         return viewer
