@@ -326,16 +326,18 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
     name = f"[{settings.host}]" if ":" in settings.host else settings.host
     address = f"http://{name}:{listener.getsockname()[1]}{settings.root_path}/"
 
+    mode = "&present=1" if settings.present else ""
+
     def announce() -> None:
-        link = f"{address}?token={access.ticket}"
+        link = f"{address}?token={access.ticket}{mode}"
         # A given token stays out of a platform's and a proxy's logs; its owner knows it.
-        shown = link if settings.token is None else f"{address}?token=..."
+        shown = link if settings.token is None else f"{address}?token=...{mode}"
         print(f"MORPH Studio: {shown}", flush=True)  # noqa: T201
         if settings.open_browser:
             threading.Thread(target=open_in_browser, args=(link,), daemon=True).start()
 
     access.on_ticket_used = lambda: print(  # noqa: T201
-        f"link used; for another browser: {address}?token={access.ticket}", flush=True
+        f"link used; for another browser: {address}?token={access.ticket}{mode}", flush=True
     )
     config = uvicorn.Config(
         app,

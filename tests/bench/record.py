@@ -27,6 +27,8 @@ DIGITS = 6
 """Significant digits of the numbers of events."""
 STEP = 1e-4
 """Step in m and rad to which what is played is rounded."""
+LISTED = 4
+"""Largest number of other runs of which each is said what it came to."""
 PLAYED = ("qpos", "phi", "success", "contact", "milestones/", "reward_terms/")
 """Arrays of an episode that are kept, or how their names begin."""
 
@@ -88,10 +90,14 @@ def chosen_among(histories: list[History]) -> str:
     seeds = [history.record.seed for history in histories]
     if len(histories) == 1:
         return f"The only run that was trained for this, of seed {seeds[0]}."
-    ends = [f"{successes} of {episodes}" for successes, episodes in map(final_of, histories[1:])]
+    ends = [final_of(history) for history in histories[1:]]
+    counts = [successes for successes, _ in ends]
+    others = f"{min(counts)} to {max(counts)}" if len(counts) > LISTED else " and ".join(map(str, counts))
+    of = {episodes for _, episodes in ends}
+    assert len(of) == 1, "the last evaluations have different numbers of episodes"
     return (
         f"The one of the lowest of {len(histories)} seeds ({seeds[0]} to {seeds[-1]}), whatever it came to; the others "
-        f"came to {', '.join(ends[:-1])}{' and ' * (len(ends) > 1)}{ends[-1]} successful episodes."
+        f"came to {others} of {of.pop()} successful episodes."
     )
 
 
