@@ -193,6 +193,8 @@ class RecordedRun(msgspec.Struct, frozen=True, kw_only=True):
     run: str
     """Name under which it is opened like any run."""
     task: str = ""
+    method: str = ""
+    seed: int | None = None
     label: str = ""
     """Words that stand wherever the run is seen."""
     origin: Origin | None = None

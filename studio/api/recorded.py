@@ -15,8 +15,11 @@ def recorded_router(recordings: Recordings) -> APIRouter:
             recording = recordings.get(run_id)
         except ValueError as error:
             return RecordedRun(run=run_id, problem=str(error))
-        task, label = recording.history.record.task, recording.label
-        return RecordedRun(run=run_id, task=task, label=label, origin=recording.origin)
+        record = recording.history.record
+        return RecordedRun(
+            run=run_id, task=record.task, method=record.method, seed=record.seed, label=recording.label,
+            origin=recording.origin,
+        )  # fmt: skip
 
     @router.get("/recorded", responses=gives(list[RecordedRun]), summary="Recorded runs, one of each task")
     def recorded() -> Response:
