@@ -17,11 +17,9 @@ from studio.export.design_file import phi_for, read_design
 from studio.new_run import StartRun, again
 from studio.recordings import Recording, Recordings
 from studio.viewer import wording
-from studio.viewer.caption import Caption, CaptionNode, caption_of
 from studio.viewer.compare import ComparePanel, Others
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
-from studio.viewer.film import LENGTH, Clip
 from studio.viewer.fresh import FreshEpisodes
 from studio.viewer.gallery import Album, GalleryPanel
 from studio.viewer.keys import Deed, Do, add_deeds
@@ -31,10 +29,10 @@ from studio.viewer.looks import LooksPanel
 from studio.viewer.news import News
 from studio.viewer.playback import PlaybackPanel
 from studio.viewer.player import Player
-from studio.viewer.projector import Projector
 from studio.viewer.recorded import RecordedPanel
 from studio.viewer.run import MORE, NOT_LIVE, RunPanel
 from studio.viewer.scene import Host, clients_of, light_up
+from studio.viewer.stage import Stage
 from studio.viewer.start import StartPanel
 from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
@@ -83,7 +81,6 @@ class Viewer:
     ) -> None:
         self._host = host
         self._recordings = recordings
-        self._presents = False
         self._wants_film: bool | None = None
         """Whether the start page plays the recorded run; until it was asked, where there is no other run."""
         self._on_command = on_command
@@ -153,8 +150,7 @@ class Viewer:
             )
         self.fresh = FreshEpisodes(answers, on_news=self._refresh)
         self.player = Player(host, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
-        self._caption = CaptionNode(host)
-        self.projector = Projector(self.player, on_frame=self._show_frame)
+        self.stage = Stage(host, self.player, usual_speed=lambda: self.playback.speed.value)
         self.timeline = TimelinePanel(
             gui,
             on_choice=self._turn,
@@ -227,7 +223,7 @@ class Viewer:
         held = self._selected is not None and not self.timeline.follow.value
         shown = self._sought if self._sought is not None else self.timeline.shown_iteration if held else None
         ticks = ticks_of(self._remembered) | self.player.camera.ticks
-        return View(run=self._selected, iteration=shown, ticks=ticks, presents=self._presents)
+        return View(run=self._selected, iteration=shown, ticks=ticks, presents=self.stage.presents)
 
     def put_back(self, view: View) -> None:
         """Show what `view` says."""
@@ -240,8 +236,7 @@ class Viewer:
     def present(self, presents: bool) -> None:
         """Begin presenter's mode, in which the page shows the scene alone under large words, or leave it."""
         with self._lock:
-            self._presents = presents
-            self.player.camera.uncover(presents)
+            self.stage.present(presents)
             self._refresh()
 
     def select(self, run_id: str | None) -> None:
@@ -267,7 +262,7 @@ class Viewer:
         """End the viewer's threads; the server is left to whoever started it."""
         self.what_if.stop()
         self.fresh.stop()
-        self.projector.stop()
+        self.stage.stop()
         self.timeline.stop()
         self.gallery.stop()
         self.player.stop()
@@ -317,7 +312,7 @@ class Viewer:
 
     def _toggle_film(self) -> None:
         with self._lock:
-            self._wants_film = self.projector.history is None
+            self._wants_film = not self.stage.plays_film
             self._refresh()
 
     def _open_recorded(self, client: viser.ClientHandle | None) -> None:
@@ -413,7 +408,7 @@ class Viewer:
             Deed("Branch from the shown iteration", self._at_a_run(self._open_branch), ("B",), icon.GIT_BRANCH),
             Deed("Pause or resume the run", self._at_a_run(self.run.toggle), ("P",), icon.PLAYER_PAUSE),
             Deed("New run", lambda _: self.open(None), ("N",), icon.PLUS),
-            Deed("Presenter's mode", lambda _: self.present(not self._presents), ("F",), icon.PRESENTATION),
+            Deed("Presenter's mode", lambda _: self.present(not self.stage.presents), ("F",), icon.PRESENTATION),
             Deed("Leave presenter's mode", lambda _: self.present(False), ("escape",)),
             Deed("Train live, in presenter's mode", self._in_presenters_mode(self._train_live), ("enter",)),
             Deed("Show the whole scene", lambda _: self.player.camera.look_at_all(), ("R",), icon.FOCUS_CENTERED),
@@ -433,7 +428,7 @@ class Viewer:
 
     def _in_presenters_mode(self, do: Do) -> Do:
         """Return the deed, but nothing where the panels are there."""
-        return lambda client: do(client) if self._presents else None
+        return lambda client: do(client) if self.stage.presents else None
 
     # --- what is shown ---
 
@@ -478,12 +473,15 @@ class Viewer:
             self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
             self.what_if.update(history, shown, phi, live=live, following=self.timeline.follow.value)
-            if self._presents and not live and history.progress:
-                self.projector.play(history)
-                return
-            self._end_film()
-            self.player.show(self._shot(history, shown, phi))
-            self._caption.show(self._caption_of(history, shown) if self._presents or recording else None)
+            label = recording.label if recording else f"{run_id}: {status}"
+            enter = "" if live else _TRAIN
+            if self.stage.presents and not live and history.progress:
+                self.stage.play(history, label, enter)
+            elif self.stage.presents or recording:
+                self.stage.show(history, shown, label, enter)
+            else:
+                self.stage.clear()
+            self._show_scene()
 
     def _turn(self) -> None:
         """Show another design: first the body, as a person waits for that, then all that is said of it."""
@@ -502,7 +500,7 @@ class Viewer:
         """Bring the scene alone up to date, as a body that is dragged must move at once."""
         with self._lock:
             history = self._histories.get(self._selected or "")
-            if history is not None and self.projector.history is None:
+            if history is not None and not self.stage.plays_film:
                 self.player.show(self._shot(history, *self._shown_design(history)))
 
     def _is_live(self, history: History) -> bool:
@@ -513,25 +511,6 @@ class Viewer:
         """Return the recorded run of what the start panel says; None where there is none, or a person begins with
         something of their own. Raise RunFolderError where it can't be read."""
         return self._recordings.of(self.start.task.value) if self.start.begins_as_usual else None
-
-    def _end_film(self) -> None:
-        if self.projector.history is not None:
-            self.projector.stop()
-            self.player.set_speed(self.playback.speed.value)
-
-    def _show_frame(self, history: History, iteration: int, clip: Clip | None) -> None:
-        """Write the caption over what the film shows."""
-        self._caption.show(self._caption_of(history, iteration, clip))
-
-    def _caption_of(self, history: History, iteration: int, clip: Clip | None = None) -> Caption:
-        run_id, film = history.folder.id, self.projector.history is not None
-        if run_id in self._recordings:
-            label = self._recordings.get(run_id).label + (f" shown in {LENGTH:.0f} s" if film else "")
-        else:
-            status, _ = self._statuses.get(run_id, (history.status, ""))
-            label = f"{run_id}: {status}" + (f", shown in {LENGTH:.0f} s" if film else "")
-        enter = "" if self._selected and self._is_live(history) else _TRAIN
-        return caption_of(history, iteration, label, presents=self._presents, enter=enter, clip=clip)
 
     def _family_of(self, run_id: str) -> Member | None:
         """Return the tree in which a run stands, found anew whenever another run is shown or runs come or go."""
@@ -555,9 +534,8 @@ class Viewer:
             self._show_beginning()
             return
         self.recorded.hide()
-        self._end_film()
         status, message = self._statuses.get(run_id, ("starting", "starting…"))
-        self._caption.show(Caption(label=f"{run_id}: {status}", presents=True) if self._presents else None)
+        self.stage.clear(f"{run_id}: {status}")
         if run_id in self._known and run_id not in self._statuses:
             if self._sought is None and not self.timeline.follow.value:
                 self._sought = self.timeline.shown_iteration  # for when it comes back
@@ -573,11 +551,10 @@ class Viewer:
         recording = self._offer_recording() if self._is_told else None
         if recording and self._plays_film:
             self.timeline.clear("a recorded run, from its first iteration to its last")
-            self.projector.play(recording.history)
+            self.stage.play(recording.history, recording.label, _TRAIN)
             return
         self.timeline.clear("what a run begins with, in its start posture")
-        self._end_film()
-        self._caption.show(Caption(label="", presents=True, enter=_TRAIN) if self._presents else None)
+        self.stage.clear(enter=_TRAIN)
         preview = self.start.preview
         if preview and self._is_told:
             self.player.show(preview)
@@ -585,7 +562,7 @@ class Viewer:
     @property
     def _plays_film(self) -> bool:
         """Whether the start page plays the recorded run: where there is no other one, until a person says so."""
-        return self._presents or (not self._histories if self._wants_film is None else self._wants_film)
+        return self.stage.presents or (not self._histories if self._wants_film is None else self._wants_film)
 
     def _offer_recording(self) -> Recording | None:
         """Say on the start page what was recorded of the task, and return it; None where nothing can be played."""

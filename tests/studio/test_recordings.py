@@ -225,7 +225,7 @@ def test_the_caption_says_what_is_seen_how_often_it_succeeds_and_what_has_change
 
 
 def caption(page: Page) -> dict[str, object]:
-    node = page.viewer._caption._node
+    node = page.viewer.stage.caption._node
     return json.loads(node.text) if node is not None and node.text else {}
 
 
@@ -242,16 +242,16 @@ def test_the_start_page_plays_the_recorded_run_of_the_chosen_task_where_there_is
     assert eventually(lambda: caption(visit))
     assert str(caption(visit)["label"]).startswith("recorded: ")
     assert str(caption(visit)["label"]).endswith(" shown in 20 s")
-    assert viewer.projector.history is recording(viewer.start.task.value).history
+    assert viewer.stage.projector.history is recording(viewer.start.task.value).history
     for task in TASKS:
         viewer.start.task.value = task
-        assert viewer.projector.history is recording(task).history
+        assert viewer.stage.projector.history is recording(task).history
         assert visit.take(lambda take, task=task: take.shot.task == task)
         assert recording(task).origin.chosen.split(";")[0] in viewer.recorded.about.content
-    place = viewer.projector._place
-    assert eventually(lambda: viewer.projector._place > place)
+    place = viewer.stage.projector._place
+    assert eventually(lambda: viewer.stage.projector._place > place)
     viewer.open("elsewhere")
-    assert viewer.projector.history is None
+    assert viewer.stage.projector.history is None
     assert caption(visit) == {}
 
 
@@ -259,12 +259,12 @@ def test_where_there_are_runs_it_is_offered_and_not_played(visit: Page, tmp_path
     viewer = visit.viewer
     visit.show(make_run(tmp_path / "runs"))
     viewer.open(None)
-    assert viewer.projector.history is None
+    assert viewer.stage.projector.history is None
     assert viewer.recorded.folder.visible
     viewer._toggle_film()
-    assert viewer.projector.history is not None
+    assert viewer.stage.projector.history is not None
     viewer._toggle_film()
-    assert viewer.projector.history is None
+    assert viewer.stage.projector.history is None
     assert visit.take(lambda take: take.shot == viewer.start.preview)
 
 
@@ -277,7 +277,7 @@ def test_a_damaged_one_leaves_the_start_page_as_it_was_with_a_sentence(visit: Pa
     visit.viewer.show({}, {})
     assert "install morph-studio anew" in visit.viewer.recorded.about.content
     assert not visit.viewer.recorded.play.visible
-    assert visit.viewer.projector.history is None
+    assert visit.viewer.stage.projector.history is None
     assert visit.take(lambda take: take.shot == visit.viewer.start.preview)
 
 
@@ -303,14 +303,14 @@ def test_presenters_mode_plays_the_film_of_a_run_and_trains_live_by_a_key(visit:
     assert visit.started == []  # the key does nothing while the panels are there
     deeds["F"](None)
     assert viewer.view.presents
-    assert viewer.projector.history is history
+    assert viewer.stage.projector.history is history
     assert eventually(lambda: caption(visit).get("presents"))
-    assert caption(visit)["label"] == f"{NAME}: finished, shown in 20 s"
+    assert caption(visit)["label"] == f"{NAME}: finished shown in 20 s"
     assert caption(visit)["enter"]
     deeds["enter"](None)
     assert [wish.task for wish in visit.started] == ["reacher"]
     visit.show(history.folder, "running")
-    assert viewer.projector.history is None
+    assert viewer.stage.projector.history is None
     assert eventually(lambda: caption(visit).get("label") == f"{NAME}: running")
     assert caption(visit)["enter"] == ""
     deeds["enter"](None)
