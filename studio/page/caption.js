@@ -16,7 +16,7 @@ function showCaption(text) {
   present(said.presents);
   for (const part of ["label", "title", "success", "iteration", "change"]) find(`caption-${part}`).textContent = said[part] ?? "";
   find("caption-label").hidden = !said.label;
-  find("caption-detail").textContent = [said.detail, said.playing].filter(Boolean).join("  ·  ");
+  find("caption-detail").textContent = [said.detail, said.playing].filter(Boolean).join("\n");
   enter.hidden = !said.enter;
   enter.querySelector("span").textContent = said.enter ?? "";
 }

@@ -152,6 +152,12 @@ document.addEventListener("keydown", (event) => {
   focusViewer();
 });
 
+// In presenter's mode there is nothing beside the scene but the words of this page: see #caption in its style.
+const SCENE = "[data-dock-root] > :has(canvas):not([data-dock-region])";
+const ALONE = `:root[data-presents] :is([data-dock-root] > :not(:has(canvas)), [data-dock-region], #root .mantine-Paper-root) { display: none !important; }
+:root[data-presents] ${SCENE} { inset: 0 0 0 38% !important; }
+@media (max-aspect-ratio: 1/1) { :root[data-presents] ${SCENE} { inset: 0 0 38% 0 !important; } }`;
+
 // Of viser's own colours, those on which or with which words are too pale to be read.
 const READABLE = `:root[data-mantine-color-scheme="light"] {
   --mantine-color-dimmed: #5b6570 !important; --mantine-color-gray-filled: #5b6570 !important;
@@ -166,7 +172,7 @@ const READABLE = `:root[data-mantine-color-scheme="light"] {
 
 viewer.addEventListener("load", () => {
   const style = viewer.contentDocument.createElement("style");
-  style.textContent = READABLE;
+  style.textContent = READABLE + ALONE;
   viewer.contentDocument.head.append(style);
   viewer.contentDocument.addEventListener("keydown", hearHelp);
   // An arrow moves the slider that has the focus, and not the timeline too.
@@ -326,7 +332,7 @@ async function look(wait = 0) {
 // A recorded run stands in the bar like any other, but for its state.
 async function learnRecorded() {
   for (const each of await ask("api/recorded")) {
-    recorded.set(each.run, { ...each, id: each.run, status: "recorded", reason: each.origin?.chosen ?? each.problem, stage: each.label.replace("recorded: ", ""), iterations: null, success: null });
+    recorded.set(each.run, { ...each, id: each.run, status: "recorded", reason: each.origin?.chosen ?? each.problem, stage: each.label.replace("recorded: ", ""), iteration: 0, iterations: null, success: null });
   }
 }
 

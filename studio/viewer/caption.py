@@ -31,7 +31,7 @@ class Caption(msgspec.Struct, frozen=True, kw_only=True):
     detail: str = ""
     """Words on how the success was measured."""
     change: str = ""
-    """Words on how the design differs from the initial one."""
+    """Words on how the design differs from the initial one, in lines."""
     playing: str = ""
     """Words on the episode that is played; empty where none is."""
     enter: str = ""
@@ -84,13 +84,14 @@ def caption_of(
 
 
 def change_words(history: History, iteration: int) -> str:
-    """Return in words what has changed most of the initial design, such as "finger 1: length 12.0 → 39.5 cm"."""
+    """Return in words what has changed most of the initial design, a line each, such as "finger 1: length 12.0 → 39.5
+    cm"."""
     _, phi = history.design(str(iteration))
     change = phi - history.initial_phi
     entries = [(quantity, entry) for quantity in quantities_of(history) for entry in quantity.entries]
     entries.sort(key=lambda both: -abs(change[both[1].index] / both[1].scale))
     said = [_words(*both, history.initial_phi, phi) for both in entries[:_CHANGES] if change[both[1].index]]
-    return " · ".join(said) or "the initial design"
+    return "\n".join(said) or "the initial design"
 
 
 def _words(quantity: Quantity, entry: Entry, initial: np.ndarray, phi: np.ndarray) -> str:

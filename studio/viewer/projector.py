@@ -6,7 +6,6 @@ from collections.abc import Callable
 from morph_core.history import History
 from studio.viewer.evolution import Evolution
 from studio.viewer.film import LENGTH, Clip, Film
-from studio.viewer.parts import has_printed_parts, shows_parts
 from studio.viewer.player import Player
 from studio.viewer.take import Shot
 
@@ -67,7 +66,10 @@ class Projector:
 
 
 def _shot(history: History, iteration: int, clip: Clip | None) -> Shot:
-    """Return what is to be seen of a design in a film: it plays its episode, or it stands in its start posture."""
+    """Return what is to be seen of a design in a film: it plays its episode, or it stands in its start posture.
+
+    It shows the collision shapes: to draw printed parts takes so long that a body could not change smoothly.
+    """
     record = history.record
     _, phi = history.design(str(iteration))
     return Shot(
@@ -76,5 +78,4 @@ def _shot(history: History, iteration: int, clip: Clip | None) -> Shot:
         phi=tuple(phi.tolist()),
         episode=(history.folder, clip.iteration) if clip else None,
         ghost=tuple(history.initial_phi.tolist()) if iteration > history.begins_at else None,
-        printed=shows_parts(record.parameters) and has_printed_parts(history),
     )

@@ -112,7 +112,7 @@ class Viewer:
         self.notice = gui.add_html("", visible=False)
         self.recorded = RecordedPanel(
             gui,
-            on_play=lambda _: self._toggle_film(),
+            on_film=self._want_film,
             on_open=self._open_recorded,
             on_live=self._train_live,
             on_present=lambda _: self.present(True),
@@ -310,9 +310,9 @@ class Viewer:
         except (ValueError, OSError) as error:
             self.refuse(str(error), client)
 
-    def _toggle_film(self) -> None:
+    def _want_film(self, wants: bool) -> None:
         with self._lock:
-            self._wants_film = not self.stage.plays_film
+            self._wants_film = wants
             self._refresh()
 
     def _open_recorded(self, client: viser.ClientHandle | None) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from conftest import NAME, ROOT, TOKEN, Page, append, eventually, make_run, progress
 from fastapi.testclient import TestClient
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from morph_core.protocol import Evaluation, Pause, StateChanged
@@ -171,8 +171,8 @@ def test_a_damaged_one_is_refused_by_one_sentence(tmp_path: Path, damage: str, h
 # --- its film ---
 
 
-@pytest.mark.parametrize("task", TASKS)
-@given(moments=st.lists(st.floats(0, LENGTH, exclude_max=True), min_size=2))
+@settings(max_examples=50)
+@given(task=st.sampled_from(TASKS), moments=st.lists(st.floats(0, LENGTH, exclude_max=True), min_size=2))
 def test_a_film_goes_once_through_the_run(task: str, moments: list[float]) -> None:
     history = recording(task).history
     film = _film(task)
@@ -261,9 +261,11 @@ def test_where_there_are_runs_it_is_offered_and_not_played(visit: Page, tmp_path
     viewer.open(None)
     assert viewer.stage.projector.history is None
     assert viewer.recorded.folder.visible
-    viewer._toggle_film()
+    assert viewer.recorded.play.visible
+    viewer._want_film(True)
     assert viewer.stage.projector.history is not None
-    viewer._toggle_film()
+    assert viewer.recorded.live.visible
+    viewer._want_film(False)
     assert viewer.stage.projector.history is None
     assert visit.take(lambda take: take.shot == viewer.start.preview)
 
