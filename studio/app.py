@@ -58,7 +58,7 @@ from studio.shelf.thumbnails import Thumbnails
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
-from studio.viewer import Viewer
+from studio.viewer.viewer import Viewer
 from studio.what_if import WhatIfs
 
 SHOW_INTERVAL = 0.2

@@ -10,11 +10,11 @@ from fastapi import Request, Response
 
 from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Progress
 from studio.fields import Field
+from studio.lines import Row, Summary
 from studio.log import LogEntry
 from studio.moments import Moment
 from studio.new_run import Number, StartRun
 from studio.recordings import Origin
-from studio.runs import Row, Summary
 from studio.shelf.marks import Marks, MarksChange
 from studio.shelf.traces import Overlay
 from studio.shelf.trash import Trashed
