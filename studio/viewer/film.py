@@ -45,7 +45,7 @@ class Clip:
 
 
 class Film:
-    """Which iteration of a run is seen at each moment of a film, and which episode."""
+    """Plan of a film: which iteration of a run is seen at each moment, and which episode."""
 
     def __init__(self, history: History) -> None:
         """Plan the film of a run as it is now; an episode that can't be read is left out."""
