@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from morph_core.protocol import Evaluation, Pause, StateChanged
 from morph_core.run_folder import RunFolder, RunFolderError, read_episode, write_episode
 from studio.app import create_app
+from studio.cli.serve import main as serve
 from studio.new_run import Branch, StartRun
 from studio.recordings import ABOUT, Recording, Recordings
 from studio.runs import Runs
@@ -295,6 +296,14 @@ def test_an_opened_one_is_labelled_and_starts_live_by_one_press(visit: Page) -> 
     visit.viewer._train_live(None)
     (wish,) = visit.started
     assert (wish.task, wish.method, wish.seed, wish.env_steps) == ("pen_press", "morph", 310, 500_000)
+
+
+def test_the_command_line_begins_in_presenters_mode(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    served: list[Settings] = []
+    monkeypatch.setattr("studio.app.serve", lambda settings, _: served.append(settings))
+    for words in ([], ["--present"]):
+        assert serve(["--runs", str(tmp_path), *words]) == 0
+    assert [settings.present for settings in served] == [False, True]
 
 
 def test_presenters_mode_plays_the_film_of_a_run_and_trains_live_by_a_key(visit: Page, tmp_path: Path) -> None:
