@@ -49,6 +49,7 @@ from studio.export.bundle import Bundle
 from studio.export.check import Check
 from studio.export.design_file import Design, Value
 from studio.new_run import StartRun, prepare_run
+from studio.recordings import Recordings
 from studio.runs import Runs
 from studio.settings import Settings
 from studio.viewer.take import Take
@@ -337,7 +338,7 @@ class Page:
 
 
 @pytest.fixture
-def page() -> Iterator[Page]:
+def page(tmp_path: Path) -> Iterator[Page]:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
 
     def heed(ask: Callable[[], None]) -> None:
@@ -379,6 +380,7 @@ def page() -> Iterator[Page]:
         family=lambda _: page.family,
         album=album,
         others=others,
+        recordings=Recordings(tmp_path / "recordings"),
     )
     page = Page(server, viewer, answers=answers, album=album, others=others)
     yield page
