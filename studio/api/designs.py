@@ -34,6 +34,7 @@ from studio.export.design_file import phi_for, read_design, starting_from
 from studio.export.printers import CHOICES, DEFAULT
 from studio.new_run import StartRun
 from studio.runs import Runs
+from studio.show.evolution import build_evolution
 
 Formats = Annotated[
     list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step, ros, ros2_control; repeated or with commas")
@@ -55,6 +56,7 @@ WithForces = Annotated[
     bool,
     Query(description="Add contact_points (T + 1, C, 3) m and contact_forces (T + 1, C, 3) N, worked out by MuJoCo"),
 ]
+Beside = Annotated[list[str] | None, Query(description="Another run of the same task, side by side; repeated")]
 _FILE = {"schema": {"type": "string", "format": "binary"}}
 _DESIGN_BODY = {
     "requestBody": {
@@ -141,6 +143,16 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         content = episode_of(runs.get(run_id), iteration, which, forces=forces)
         name = f"{run_id}-{int(iteration):06d}{f'-{which}' if which else ''}.npz"
         return _download(name, content, "application/octet-stream")
+
+    @router.get(
+        "/evolution.html",
+        response_class=Response,
+        responses=gives_file("text/html", "One page that loads nothing: bodies, traces and episodes of all iterations"),
+        summary="Download the whole evolution, beside that of up to three other runs of the task",
+    )
+    def evolution(run_id: str, beside: Beside = None) -> Response:
+        page = build_evolution([runs.get(name) for name in (run_id, *(beside or ()))])
+        return _download(f"{run_id}-evolution.html", page.content, "text/html; charset=utf-8")
 
     @router.get(
         "/designs/{which}/export",
