@@ -297,10 +297,13 @@ def is_flat(low: np.ndarray, high: np.ndarray) -> bool:
     return bool(size[2] < 0.25 * min(size[0], size[1]))
 
 
-def camera(low: np.ndarray, high: np.ndarray, aspect: float = USUAL_ASPECT) -> tuple[np.ndarray, np.ndarray]:
+def camera(
+    low: np.ndarray, high: np.ndarray, aspect: float = USUAL_ASPECT, *, is_covered: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
     """Return position (3,) and target (3,) of a camera that frames the box: from above if flat, else from the side.
 
-    `aspect` is width / height of the free part of the page. In a narrow page the box is seen in the upper half.
+    `aspect` is width / height of the free part of the page. In a narrow page the box is seen in the upper half, where
+    the lower one is covered by panels.
     """
     flat = is_flat(low, high)
     direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)]) if flat else OBLIQUE
@@ -311,7 +314,7 @@ def camera(low: np.ndarray, high: np.ndarray, aspect: float = USUAL_ASPECT) -> t
     shift = (upward.max() + upward.min()) / 2
     distance = np.max(nearer + np.maximum(np.abs(across) / (slope * aspect), np.abs(upward - shift) / slope))
     distance = max(float(distance), 1e-3)
-    lift = _LIFT * distance * math.tan(FIELD_OF_VIEW / 2) if aspect < NARROW else 0.0
+    lift = _LIFT * distance * math.tan(FIELD_OF_VIEW / 2) if is_covered and aspect < NARROW else 0.0
     target = (low + high) / 2 + (shift - lift) * up
     return target + distance * direction, target
 
