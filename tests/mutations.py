@@ -711,6 +711,20 @@ MUTANTS: tuple[Mutant, ...] = (
         ("max(0, self._budget - self._env_steps)", "self._budget"),
         ("self._pace.env_steps or self._longest_iteration", "1"),
     ),
+    # --- what was read of runs at rest ---
+    *_of(
+        "studio/index.py", "studio/test_listing.py",
+        ("known and known.stamp == stamp", "known"),
+        ("if kept.made_by != _made_by():", "if False:"),
+        ("entry.line.id == name and ", ""),
+        (" and entry.line.status in AT_REST", ""),
+        ("self._is_new = False  #", "pass  #"),
+    ),
+    *_of(
+        "studio/listing.py", "studio/test_listing.py",
+        ("None if is_watched else self._at_rest(folder, stamp)", "None"),
+        ("history.heartbeat and history.status in AT_REST", "history.status in AT_REST"),
+    ),
     *_of(
         f"{CORE}/pace.py", "core/test_pace.py",
         ("_mean(self._plain) or self._first", "self._first"),
