@@ -14,15 +14,26 @@ import tyro
 
 from tests.attack.api import attack_api
 from tests.attack.archives import attack_archives
+from tests.attack.crowds import attack_memory, attack_strangers
 from tests.attack.frames import attack_frames
 from tests.attack.kills import attack_kills
 from tests.attack.outcome import Outcome, table, write
 from tests.attack.soak import soak
 
-Part = Literal["api", "frames", "archives", "kills", "soak"]
-SMALL: dict[str, int] = {"api": 300, "frames": 2000, "archives": 25, "kills": 4, "soak": 20}
-FULL: dict[str, int] = {"api": 10_000, "frames": 100_000, "archives": 1000, "kills": 100, "soak": 3600}
-"""How much each part tries before a release: cases, frames, archives, kills, and seconds."""
+Part = Literal["api", "frames", "archives", "kills", "strangers", "memory", "soak"]
+SMALL: dict[str, int] = {
+    "api": 300,
+    "frames": 2000,
+    "archives": 25,
+    "kills": 4,
+    "strangers": 150,
+    "memory": 1,
+    "soak": 20,
+}
+FULL: dict[str, int] = {
+    "api": 10_000, "frames": 100_000, "archives": 1000, "kills": 100, "strangers": 600, "memory": 3, "soak": 3600,
+}  # fmt: skip
+"""How much each part tries before a release: cases, frames, archives, kills, connections, rounds, and seconds."""
 STEPS_WATCHED = 1_500_000
 """Environment steps of the run that is watched while an hour passes; a shorter soak watches as long as it lasts."""
 PARTS: dict[str, Callable[[int, int], Outcome]] = {
@@ -30,6 +41,8 @@ PARTS: dict[str, Callable[[int, int], Outcome]] = {
     "frames": attack_frames,
     "archives": attack_archives,
     "kills": attack_kills,
+    "strangers": lambda connections, seed: attack_strangers(connections, seed, seconds=connections / 10),
+    "memory": attack_memory,
     "soak": lambda seconds, seed: soak(seconds, STEPS_WATCHED, seed),
 }
 
@@ -43,7 +56,7 @@ class Attack:
     only: tuple[Part, ...] = ()
     """Parts to do, in this order; by default all."""
     count: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Number of cases, frames, archives, kills or seconds, instead of that of the parts."""
+    """Number of what is tried, instead of that of the parts."""
     seed: int = 1
     """Seed of everything that is random."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
