@@ -22,14 +22,8 @@ from tests.attack.soak import soak
 
 Part = Literal["api", "frames", "archives", "kills", "strangers", "memory", "soak"]
 SMALL: dict[str, int] = {
-    "api": 300,
-    "frames": 2000,
-    "archives": 25,
-    "kills": 4,
-    "strangers": 150,
-    "memory": 1,
-    "soak": 20,
-}
+    "api": 300, "frames": 1500, "archives": 10, "kills": 3, "strangers": 100, "memory": 1, "soak": 15,
+}  # fmt: skip
 FULL: dict[str, int] = {
     "api": 10_000, "frames": 100_000, "archives": 1000, "kills": 100, "strangers": 600, "memory": 3, "soak": 3600,
 }  # fmt: skip
