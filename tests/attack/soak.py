@@ -18,15 +18,17 @@ from websockets.exceptions import ConnectionClosed
 from morph_core.history import History
 from morph_core.run_folder import RunFolder
 from tests.attack.outcome import Outcome
-from tests.attack.target import CAMERA, Target, target
+from tests.attack.target import CAMERA, Target, target, wait_for
 from tests.studio.conftest import make_run
 
 AT_REST = 1.0
 """Largest growth of the server at rest in MB per hour."""
 WATCHED = 5.0
 """Largest growth of the server in MB per 100,000 steps of a run that is watched."""
-LEAST = 1.0
-"""Growth in MB that means nothing: what a page, a thread or a cache takes once, of a soak that is short."""
+SHORT = {"at rest": 0.5, "watched": 5.0}
+"""Hours and 100,000 steps below which a slope means little: what pages, threads and caches take once is part of it."""
+ONCE = 30.0
+"""Largest growth in MB of a soak that is that short."""
 _KEY = "a-page-that-soaks"
 _ENDED_RUNS = 12
 _WARM_UP = 1 / 12
@@ -58,6 +60,7 @@ def watched(steps: int, seconds: float, outcome: Outcome, every: float = 2.0) ->
             answer = client.post("/api/runs", json={"task": "reacher", "iterations": 10**6, "seed": outcome.seed})
             run = answer.raise_for_status().json()["id"]
             history = History(RunFolder(server.runs / run))
+            wait_for("the first iteration", lambda: history.poll() is not None and _steps(history), 300)
             began = time.monotonic()
             while time.monotonic() - began < seconds and _steps(history) < steps:
                 time.sleep(every)
@@ -103,8 +106,10 @@ def _judge(name: str, unit: str, samples: list[tuple[float, float]], most: float
         f"{name}, standard error": round(error, 3),
         f"{name}, MB": f"{samples[0][1]:.1f} to {samples[-1][1]:.1f}",
     }
-    if rise * width > max(most * width, LEAST):
+    if width >= SHORT[name] and rise > most:
         outcome.fault(f"{name}: the server grows by {rise:.2f} {unit}, more than {most:g}")
+    if width < SHORT[name] and rise * width > ONCE:
+        outcome.fault(f"{name}: the server has grown by {rise * width:.0f} MB, more than {ONCE:g}, in a short time")
 
 
 def _last_words(server: Target, outcome: Outcome) -> None:
