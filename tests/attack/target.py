@@ -87,15 +87,14 @@ class Target:
             return False
 
     def errors(self) -> list[str]:
-        """Return the tracebacks that the server has written to its log, each as its last line."""
-        lines, found = self.log.read_text(errors="replace").splitlines(), list[str]()
-        inside = False
-        for line in lines:
+        """Return the tracebacks that the server has written to its log, each as its last lines."""
+        lines, found, began = self.log.read_text(errors="replace").splitlines(), list[str](), None
+        for number, line in enumerate(lines):
             if line.startswith("Traceback"):
-                inside = True
-            elif inside and line and not line[0].isspace():
-                found.append(line[:300])
-                inside = False
+                began = number
+            elif began is not None and line and not line[0].isspace():
+                found.append(" | ".join(part.strip() for part in lines[max(began, number - 5) : number + 1])[:600])
+                began = None
         return found
 
 
