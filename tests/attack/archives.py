@@ -5,8 +5,10 @@ proved as `morph-studio verify` does.
 """
 
 import concurrent.futures
+import contextlib
 import io
 import json
+import os
 import random
 import resource
 import struct
@@ -15,7 +17,7 @@ import threading
 import time
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -96,9 +98,19 @@ class Trap:
     def sprung(self) -> list[str]:
         """Return what was written into the room around, and what was left in the folder."""
         known = {self.root / "outside" / "secret"}
-        return [
-            str(path.relative_to(self.root)) for path in self.root.rglob("*") if not path.is_dir() and path not in known
-        ]
+        found = (path for path in self.root.rglob("*") if not path.is_dir() and path not in known)
+        return [str(path.relative_to(self.root)) for path in found]
+
+    @contextlib.contextmanager
+    def set(self) -> Iterator[None]:
+        """Let what is unpacked, by this process and those that it starts, be unpacked in the trap."""
+        before, tempfile.tempdir = tempfile.tempdir, str(self.home)
+        os.environ["TMPDIR"] = str(self.home)
+        try:
+            yield
+        finally:
+            tempfile.tempdir = before
+            del os.environ["TMPDIR"]
 
 
 @dataclass
@@ -225,7 +237,7 @@ class Mutant:
         old, words[at] = words[at], self.rng.choice((*NUMBERS, f"{float(words[at]) * 2 + 0.01!r}"))
         element.attrib[name] = " ".join(words)
         self.said = f"{path}: {element.tag} {name} {old} -> {words[at][:20]}"
-        self.physical = True
+        self.physical = _differ(old, words[at])
 
     def of_json(self) -> bytes:
         """Return a bundle whose design.json says something odd."""
@@ -300,6 +312,14 @@ _LOCK = threading.Lock()
 def _tally(outcome: Outcome, name: str) -> None:
     with _LOCK:
         outcome.figures[name] = float(outcome.figures.get(name, 0.0)) + 1
+
+
+def _differ(old: str, new: str) -> bool:
+    """Tell whether two numbers differ by more than what is allowed for."""
+    try:
+        return not abs(float(old) - float(new)) <= 1e-6 * max(1.0, abs(float(old)))
+    except ValueError:
+        return True
 
 
 def _is_numbers(value: str) -> bool:
