@@ -44,6 +44,8 @@ class Outcome:
         self.failed += 1
         if self.failed <= FAULTS_KEPT:
             self.faults.append(what)
+            if not self.quiet:
+                print(f"{self.part}: {what}"[:300], file=sys.stderr, flush=True)
 
     def line(self) -> str:
         """Return how far it is."""
