@@ -66,9 +66,7 @@ def _round(server: Target, seed: int, examples: int, statuses: dict[int, int], o
     schemathesis.hook(hook)
     try:
         for event in from_schema(schema).execute():
-            if isinstance(
-                event, events.NonFatalError
-            ):  # schemathesis's own: it reads no pair of numbers, `prefixItems`
+            if isinstance(event, events.NonFatalError):  # of schemathesis: it reads no `prefixItems`
                 outcome.figures["not to be checked"] = event.label
             if isinstance(event, events.ScenarioFinished):
                 _count(event.recorder, statuses, outcome)

@@ -28,15 +28,18 @@ import msgspec
 import numpy as np
 
 from morph_core.catalogue import make_task
+from studio.export import apart
 from studio.export.apart import MEMORY_BYTES, prove_apart
 from studio.export.archive import read_files
 from studio.export.bundle import robot_files
 from studio.export.check import Check
 from studio.export.design_file import Design, Value
 from studio.export.errors import ExportError
+from studio.export.proof import unpack
 from studio.robots.chooser import robot_of
 from tests.attack.outcome import Outcome
 from tests.attack.target import Target, target
+from tests.forked import Forked
 
 PATHS = (
     "../escaped", "../../../escaped", "{outside}/escaped", "a/../../escaped", "C:/escaped", "..\\escaped", "\0", "",
@@ -54,7 +57,9 @@ SORTS = {"bytes": 30, "entries": 20, "sizes": 5, "xml": 30, "json": 10, "any": 5
 """The sorts of changes, and how often each comes."""
 GROWTH = 100.0
 """Largest growth in MB of the studio's memory while archives are imported."""
-_AT_ONCE = 2
+EVERY = 20
+"""One of so many is proved in a process that is begun anew, as `verify` does it; the others in forked ones."""
+_AT_ONCE = 3
 
 
 def attack_archives(archives: int, seed: int, quiet: bool = False) -> Outcome:
@@ -63,9 +68,10 @@ def attack_archives(archives: int, seed: int, quiet: bool = False) -> Outcome:
     with tempfile.TemporaryDirectory() as name, target(asleep=True, MORPH_TRAINERS="1") as server:
         trap = Trap(Path(name))
         began, honest = server.megabytes(), _bundle()
-        if faults := _faults(_prove(trap, _zip(honest), outcome)):
-            outcome.fault(f"the bundle that nobody has changed fails: {faults[0]}")
-        mutants = [Mutant(random.Random(seed * 1_000_003 + i), honest, trap) for i in range(archives)]
+        for forked in (False, True):  # the one that forks keeps its socket outside of the trap
+            if faults := _faults(_prove(trap, _zip(honest), outcome, forked=forked)):
+                outcome.fault(f"the bundle that nobody has changed fails: {faults[0]}")
+        mutants = [Mutant(i, random.Random(seed * 1_000_003 + i), honest, trap) for i in range(archives)]
         with trap.set(), concurrent.futures.ThreadPoolExecutor(_AT_ONCE) as both:
             for _ in both.map(lambda mutant: _try(mutant, server, outcome), mutants):
                 outcome.add()
@@ -117,6 +123,7 @@ class Trap:
 class Mutant:
     """A bundle that is changed at random."""
 
+    number: int
     rng: random.Random
     files: Mapping[str, bytes]
     trap: Trap
@@ -237,7 +244,7 @@ class Mutant:
         old, words[at] = words[at], self.rng.choice((*NUMBERS, f"{float(words[at]) * 2 + 0.01!r}"))
         element.attrib[name] = " ".join(words)
         self.said = f"{path}: {element.tag} {name} {old} -> {words[at][:20]}"
-        self.physical = _differ(old, words[at])
+        self.physical = _differ(old, words[at]) and not _only_shown(element, name)
 
     def of_json(self) -> bytes:
         """Return a bundle whose design.json says something odd."""
@@ -271,7 +278,7 @@ def _try(mutant: Mutant, server: Target, outcome: Outcome) -> None:
     except httpx.HTTPError as error:
         outcome.fault(f"{mutant.said}: import has no answer: {error!r}")
     try:
-        checks = _prove(mutant.trap, content, outcome)
+        checks = _prove(mutant.trap, content, outcome, forked=mutant.number % EVERY != 0)
     except Exception as error:  # nothing but a refusal may come of it
         outcome.fault(f"{mutant.said}: verify raises {error!r}")
         return
@@ -286,20 +293,37 @@ def _try(mutant: Mutant, server: Target, outcome: Outcome) -> None:
         outcome.fault(f"{mutant.said}: verify agrees all the same")
 
 
-def _prove(trap: Trap, content: bytes, outcome: Outcome) -> list[Check]:
-    """Prove a zip in a process of its own that lays out its files in the trap; a refusal is a failed check."""
+def _prove(trap: Trap, content: bytes, outcome: Outcome, *, forked: bool = False) -> list[Check]:
+    """Prove a zip in a process of its own that lays out its files in the trap; a refusal is a failed check.
+
+    A process that is forked has loaded its libraries already, and is `studio.export.apart` all the same.
+    """
     began = time.monotonic()
     with tempfile.TemporaryDirectory(dir=trap.home) as home:
         path = Path(home) / "bundle.zip"
         path.write_bytes(content)
         try:
-            return prove_apart(read_files(path), episodes=0)
+            files = read_files(path)
+            return _prove_forked(files, Path(home) / "files") if forked else prove_apart(files, episodes=0)
         except (ExportError, OSError) as error:
             return [Check("the bundle", float("inf"), 0.0, str(error))]
         finally:
             with _LOCK:
                 longest = float(outcome.figures.get("longest verify, s", 0.0))
                 outcome.figures["longest verify, s"] = round(max(longest, time.monotonic() - began), 1)
+
+
+def _prove_forked(files: Mapping[str, bytes], folder: Path) -> list[Check]:
+    folder.mkdir()
+    unpack(files, folder)
+    words = (str(folder), "0", str(apart.READING_SECONDS), str(MEMORY_BYTES))
+    proof = Forked("studio.export.apart", *words, cwd=folder)
+    status = proof.wait(apart.WALL_FACTOR * apart.READING_SECONDS)
+    try:
+        return [told.check for told in msgspec.json.decode(proof.said("output"), type=list[apart._Told])]
+    except msgspec.DecodeError:
+        why = apart._why(status, proof.said("errors").encode(), apart.READING_SECONDS)
+        return [Check("the bundle", float("inf"), 0.0, why)]
 
 
 def _faults(checks: list[Check]) -> list[str]:
@@ -320,6 +344,13 @@ def _differ(old: str, new: str) -> bool:
         return not abs(float(old) - float(new)) <= 1e-6 * max(1.0, abs(float(old)))
     except ValueError:
         return True
+
+
+def _only_shown(element: ElementTree.Element, name: str) -> bool:
+    """Tell whether an attribute is of what is only shown, of which `verify` says that it proves nothing."""
+    touches = [element.get(kind) for kind in ("contype", "conaffinity")] != ["0", "0"]
+    shown = element.tag in ("light", "camera", "texture", "material", "headlight", "map", "quality", "global", "color")
+    return shown or name == "rgba" or (element.tag == "geom" and (not touches or element.get("class") == "visual"))
 
 
 def _is_numbers(value: str) -> bool:
