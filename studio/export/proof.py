@@ -48,6 +48,12 @@ _DYNAMICS = (
     "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "dof_armature", "dof_damping", "actuator_gainprm",
     "actuator_biasprm", "actuator_forcerange", "actuator_ctrlrange", "sensor_type",
 )  # fmt: skip
+_TOUCH = (
+    "geom_size", "geom_pos", "geom_quat", "geom_friction", "geom_bodyid", "geom_type", "geom_contype",
+    "geom_conaffinity", "geom_condim", "geom_margin", "geom_gap", "geom_solref", "geom_solimp", "geom_solmix",
+    "geom_priority", "geom_rbound",
+)  # fmt: skip
+"""What makes a shape collide as it does; of a mesh the bounding sphere stands for its corners."""
 _COUNTS = ("nbody", "njnt", "nv", "nu", "na", "neq", "ntendon", "npair", "nexclude", "nmocap", "nplugin", "nflex")
 """What the physics of a model consists of; shapes that are only shown, keyframes and sensors are added for readers."""
 PROVENANCE = "provenance.json"
@@ -75,6 +81,8 @@ def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = Fals
         checks += prove_robot(files, design, task, phi, only_mujoco=only_mujoco)
         if episodes and "policy.npz" in files:
             checks += prove_policy(files, task, phi, _promised(files), episodes)[1]
+        elif "scene.xml" in files:
+            checks += _guarded("scene.xml in MuJoCo", lambda: [_prove_scene(files, task, phi)])
     except Exception as error:  # whatever is wrong with a stranger's file
         checks.append(Check(FILE, math.inf, 0.0, f"can't be read: {str(error) or type(error).__name__}"))
     return checks
@@ -222,6 +230,14 @@ def prove_policy(
     return found, checks
 
 
+def _prove_scene(files: Mapping[str, bytes], task: Task, phi: np.ndarray) -> Check:
+    """Compare the scene of the files with the simulated one, where no policy is run in it."""
+    with tempfile.TemporaryDirectory() as folder:
+        unpack(files, Path(folder))
+        scene = _as_simulated(mujoco.MjSpec.from_file(str(Path(folder) / "scene.xml")), task, phi)
+        return _compare_scenes(task.scene(phi).compile(), scene.compile())
+
+
 def _as_simulated(scene: mujoco.MjSpec, task: Task, phi: np.ndarray) -> mujoco.MjSpec:
     """Return a scene that was read from its file with the zero of the task's joints, and the task's sensors."""
     scene = moved_zero(scene, {name: -value for name, value in robot_of(task).zero(phi).items()})
@@ -245,7 +261,7 @@ def _compare_scenes(simulated: mujoco.MjModel, reloaded: mujoco.MjModel) -> Chec
         off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
     off["timestep"] = abs(simulated.opt.timestep - reloaded.opt.timestep)
     touching = [(m.geom_contype != 0) | (m.geom_conaffinity != 0) for m in (simulated, reloaded)]
-    for field in ("geom_size", "geom_pos", "geom_quat", "geom_friction", "geom_bodyid"):
+    for field in _TOUCH:
         one, other = (getattr(m, field)[t] for m, t in zip((simulated, reloaded), touching, strict=True))
         off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
     return worst(name, SCENE_ALLOWED, off)
