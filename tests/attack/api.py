@@ -19,7 +19,7 @@ _CHECKS = (
     "response_headers_conformance",
 )  # fmt: skip
 _RUNS = tuple(f"20260101-00000{i}-reacher-morph-s{i}" for i in range(4))
-_PATIENCE = 60.0
+_PATIENCE = 120.0
 """Seconds in which every request is answered, also on a machine that does other things."""
 
 
@@ -86,6 +86,8 @@ def _real_run(server: Target, rng: random.Random) -> Any:
             case.path_parameters["run_id"] = name
         if case.path.endswith("/events"):
             case.query = {**(case.query or {}), "follow": "false"}
+        if isinstance(case.body, dict) and isinstance(case.body.get("episodes"), int):
+            case.body["episodes"] = min(case.body["episodes"], 8)  # how many there are is no matter of form
         if case.path.endswith("/news") and "wait" in (case.query or {}):
             case.query = {**case.query, "wait": rng.choice([0, 0.1, -1, "x", 1e9])}
 
