@@ -20,7 +20,7 @@ from tests.forked import Forked, trainer
 SHARE = 5
 """Largest number of iterations between two kills, so that the run lives for all of them."""
 KILLS_A_RUN = 10
-_PATIENCE = 120.0
+_PATIENCE = 600.0
 
 
 def attack_kills(kills: int, seed: int, quiet: bool = False) -> Outcome:
