@@ -36,10 +36,11 @@ PATIENCE = 10.0
 IMPORTS_AT_ONCE = 12
 GROWTH = 100.0
 """Largest growth in MB while zips are imported, however many at once."""
-UPLOADING = 200.0
-"""Largest growth in MB while files are sent that never end: four of 32 MiB, and what is on its way."""
-LEFT = 50.0
-"""Largest growth in MB once those who sent them have left."""
+UPLOADING = 300.0
+"""Largest growth in MB while files are sent that never end: four of 32 MiB, what is on its way, and eight pages."""
+LEFT = 250.0
+"""Largest growth in MB once those who sent them have left: what the C library keeps for the next ones, however many
+rounds there are; the studio holds nothing of it."""
 
 
 def attack_strangers(connections: int, seed: int, quiet: bool = False, seconds: float = 45.0) -> Outcome:

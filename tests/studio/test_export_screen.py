@@ -12,6 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import msgspec
+import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -96,6 +97,12 @@ def test_a_scene_in_which_something_that_moves_or_touches_differs_is_told(
     phi = np.array([p.initial for p in TASK.design_space.parameters])
     with contextlib.suppress(ValueError):  # MuJoCo's: it can't be built
         assert not _prove_scene({**bundle, "scene.xml": ElementTree.tostring(root)}, TASK, phi).passed
+
+
+def test_of_what_is_read_nothing_is_kept(bundle: dict[str, bytes]) -> None:
+    """MuJoCo keeps meshes by their path: a server that exports would grow by 500 MB."""
+    prove(bundle, episodes=0)
+    assert mujoco.mj_getCacheSize(mujoco.mj_getCache()) == 0
 
 
 def inserted(text: str, where: str = "</mujoco>") -> Callable[[bytes], bytes]:
