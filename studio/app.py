@@ -33,6 +33,7 @@ from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.news import news_router
+from studio.api.recorded import recorded_router
 from studio.api.runs import runs_router
 from studio.api.shelf import shelf_router
 from studio.api.study import study_router
@@ -57,7 +58,7 @@ from studio.shelf.thumbnails import Thumbnails
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
-from studio.viewer import Viewer
+from studio.viewer.viewer import Viewer
 from studio.what_if import WhatIfs
 
 SHOW_INTERVAL = 0.2
@@ -135,6 +136,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
             family=lambda run_id: tree_of(run_id, runs.parents()),
             album=album,
             others=runs,
+            recordings=runs.recordings,
         )
         if 0 < client.camera.image_width < NARROW_PAGE:
             viewer.playback.panel.minimize()  # with the column in which it stands
@@ -216,6 +218,7 @@ def create_app(
     for router in (
         tasks_router(),
         runs_router(watched),
+        recorded_router(watched.recordings),
         designs_router(watched, build_bundle),
         imports_router(watched),
         compare_router(watched),
@@ -323,16 +326,18 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
     name = f"[{settings.host}]" if ":" in settings.host else settings.host
     address = f"http://{name}:{listener.getsockname()[1]}{settings.root_path}/"
 
+    mode = "&present=1" if settings.present else ""
+
     def announce() -> None:
-        link = f"{address}?token={access.ticket}"
+        link = f"{address}?token={access.ticket}{mode}"
         # A given token stays out of a platform's and a proxy's logs; its owner knows it.
-        shown = link if settings.token is None else f"{address}?token=..."
+        shown = link if settings.token is None else f"{address}?token=...{mode}"
         print(f"MORPH Studio: {shown}", flush=True)  # noqa: T201
         if settings.open_browser:
             threading.Thread(target=open_in_browser, args=(link,), daemon=True).start()
 
     access.on_ticket_used = lambda: print(  # noqa: T201
-        f"link used; for another browser: {address}?token={access.ticket}", flush=True
+        f"link used; for another browser: {address}?token={access.ticket}{mode}", flush=True
     )
     config = uvicorn.Config(
         app,

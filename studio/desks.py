@@ -12,8 +12,9 @@ import viser
 
 from morph_core.history import History
 from morph_core.protocol import Status
-from studio.viewer import Viewer, wording
+from studio.viewer import wording
 from studio.viewer.view import Seen, View
+from studio.viewer.viewer import Viewer
 
 MOST = 8
 """Largest number of browsers that are shown runs at once; another one waits until one of them leaves."""
@@ -63,7 +64,7 @@ class Desks:
             try:
                 begin, desk.begin = desk.begin, None
                 if begin is not None:
-                    viewer.put_back(begin if begin.run else View(run=current, ticks=begin.ticks))
+                    viewer.put_back(begin if begin.run else msgspec.structs.replace(begin, run=current, iteration=None))
                 viewer.show(histories, statuses)
             except Exception:  # one browser's trouble is not another's
                 log.exception("showing the runs to browser %s failed", desk.client.client_id)

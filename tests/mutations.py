@@ -538,7 +538,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/export/servos.py", "studio/test_servos.py",
-        ("if need_of > limit * (1 + _ROUNDING)", "if need_of >= limit * (1 - 2 * _ROUNDING)"),
+        ("return need_of > limit * (1 + _ROUNDING)", "return need_of >= limit * (1 - 2 * _ROUNDING)"),
+        ("not _peak_faults(row, sheet) and not", "not"),
         ('("peak speed", row.speed_peak, sheet.no_load_speed)', '("peak speed", row.speed_95, sheet.no_load_speed)'),
         ("row.torque_95 > sheet.rated_torque", "row.torque_95 < sheet.rated_torque"),
         ("servo, chosen = full[0]", "servo, chosen = full[-1]"),
@@ -712,9 +713,14 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         f"{CORE}/pace.py", "core/test_pace.py",
-        ("self._taken[1:] or self._taken", "self._taken"),
-        ("self._taken[-_WINDOW:]", "self._taken"),
-        ("seconds * iterations", "seconds"),
+        ("_mean(self._plain) or self._first", "self._first"),
+        ("if self._first is None:\n            self._first = seconds\n        elif searched:",
+         "self._first = self._first or seconds\n        if searched:"),
+        ("values[1 - most :]", "values"),
+        ("elif searched:", "elif False:"),
+        ("(iterations - searches)", "iterations"),
+        ("_mean(self._evaluated) or expected", "_mean(self._evaluated) or 0.0"),
+        ("_mean(self._evaluated) or expected", "expected"),
     ),
     *_of(
         f"{CORE}/train.py", "core/test_steered.py",
