@@ -244,7 +244,8 @@ class Mutant:
         old, words[at] = words[at], self.rng.choice((*NUMBERS, f"{float(words[at]) * 2 + 0.01!r}"))
         element.attrib[name] = " ".join(words)
         self.said = f"{path}: {element.tag} {name} {old} -> {words[at][:20]}"
-        self.physical = _differ(old, words[at]) and not _only_shown(element, name)
+        parts = {shown for visual in root.iter("visual") for shown in visual.iter()}  # of a URDF
+        self.physical = _differ(old, words[at]) and element not in parts and not _only_shown(element, name)
 
     def of_json(self) -> bytes:
         """Return a bundle whose design.json says something odd."""
@@ -350,7 +351,10 @@ def _only_shown(element: ElementTree.Element, name: str) -> bool:
     """Tell whether an attribute is of what is only shown, of which `verify` says that it proves nothing."""
     touches = [element.get(kind) for kind in ("contype", "conaffinity")] != ["0", "0"]
     shown = element.tag in ("light", "camera", "texture", "material", "headlight", "map", "quality", "global", "color")
-    return shown or name == "rgba" or (element.tag == "geom" and (not touches or element.get("class") == "visual"))
+    idle = (element.tag, name) == ("geom", "mass")  # of a body that says its inertia
+    return (
+        shown or idle or name == "rgba" or (element.tag == "geom" and (not touches or element.get("class") == "visual"))
+    )
 
 
 def _is_numbers(value: str) -> bool:

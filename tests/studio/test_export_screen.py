@@ -99,10 +99,26 @@ def test_a_scene_in_which_something_that_moves_or_touches_differs_is_told(
         assert not _prove_scene({**bundle, "scene.xml": ElementTree.tostring(root)}, TASK, phi).passed
 
 
+@pytest.mark.parametrize(
+    ("file", "before", "after"),
+    [
+        (XML, 'kp="', 'kp="9'),
+        (XML, 'armature="', 'armature="9'),
+        (XML, 'damping="', 'damping="9'),
+        (f"{ROBOT}.urdf", 'friction="0.0"', 'friction="0.9"'),
+        (f"{ROBOT}.urdf", 'damping="', 'damping="9'),
+    ],
+)
+def test_a_joint_or_servo_of_another_kind_is_told(bundle: dict[str, bytes], file: str, before: str, after: str) -> None:
+    changed = bundle[file].replace(before.encode(), after.encode(), 1)
+    assert changed != bundle[file]
+    assert faults({**bundle, file: changed})
+
+
 def test_of_what_is_read_nothing_is_kept(bundle: dict[str, bytes]) -> None:
     """MuJoCo keeps meshes by their path: a server that exports would grow by 500 MB."""
     prove(bundle, episodes=0)
-    assert mujoco.mj_getCacheSize(mujoco.mj_getCache()) == 0
+    assert mujoco.mj_getCacheCapacity(mujoco.mj_getCache()) == 0
 
 
 def inserted(text: str, where: str = "</mujoco>") -> Callable[[bytes], bytes]:
