@@ -75,6 +75,8 @@ class _Batch:
     handle: viser.BatchedMeshHandle
     parts: list[int]
     mesh: Mesh | None = None
+    course: tuple[np.ndarray, np.ndarray] | None = None
+    """Positions (T, k, 3) and orientations (T, k, 4) of the instances, once they have been asked for."""
 
 
 class Layer:
@@ -101,7 +103,7 @@ class Layer:
         with self._host.atomic():
             for key, batch in self._batches.items():
                 batch.handle.visible = key in groups
-                batch.parts = groups.get(key, [])
+                batch.parts, batch.course = groups.get(key, []), None
             for key, parts in groups.items():
                 self._place(key, parts, figure.meshes[parts[0]] if figure else None, *arrays[key], painted[parts])
         self._figure, self._instant = figure, instant
@@ -113,8 +115,10 @@ class Layer:
             return
         with self._host.atomic():
             for batch in self._shown:
-                moved = {"batched_positions": figure.positions[instant, batch.parts]}
-                _change(batch.handle, moved | {"batched_wxyzs": figure.wxyz[instant, batch.parts]})
+                if batch.course is None:  # picked once, so that each frame of it is sent as it stands in memory
+                    batch.course = figure.positions[:, batch.parts], figure.wxyz[:, batch.parts]
+                positions, wxyz = batch.course
+                _change(batch.handle, {"batched_positions": positions[instant], "batched_wxyzs": wxyz[instant]})
         self._instant = instant
 
     def paint(self, colours: np.ndarray) -> None:
@@ -168,8 +172,8 @@ class Arrows:
 
     def show(self, arrows: np.ndarray, radius: float) -> None:
         """Draw arrows (n, 2, 3) from start to end, with shafts of this radius in m."""
-        arrows = arrows.astype(np.float32)
-        if np.array_equal(arrows, self._shown):
+        arrows = arrows.astype(np.float32, copy=False)
+        if arrows is self._shown or np.array_equal(arrows, self._shown):
             return
         self._shown = arrows
         if self._handle is None or radius != self._radius:

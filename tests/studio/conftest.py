@@ -59,6 +59,18 @@ from studio.what_if import SweepPoint, WhatIf, WhatIfs, Wish, sweep_designs
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "a-token-of-the-tests"
+FEW = 32
+"""Number of episodes that prove a policy in the tests, which export often."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def few_episodes() -> Iterator[None]:
+    """Let exports prove their policies in a few episodes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("studio.export.bundle.EPISODES", FEW)
+        yield
+
+
 NAME = "20260101-000000-reacher-morph-s0"
 
 STAND_IN = """
