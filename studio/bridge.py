@@ -28,6 +28,7 @@ from websockets.typing import Subprotocol
 from morph_core.config import LARGEST
 from studio.desks import KEY
 from studio.elements import LONGEST_TEXT, element_of, is_there, settled
+from studio.retries import SCRIPT as RETRIES
 from studio.seldom import Seldom
 from studio.uploads import Uploads
 
@@ -116,9 +117,10 @@ _SHAPES: dict[str, type[msgspec.Struct]] = {kind: _as_declared(kind) for kind in
 
 _STYLE = (
     b"<style>.u-legend .u-value,.u-legend th::after{visibility:hidden}"
-    b".u-wrap:hover~.u-legend .u-value,.u-wrap:hover~.u-legend th::after{visibility:visible}</style>"
+    b".u-wrap:hover~.u-legend .u-value,.u-wrap:hover~.u-legend th::after{visibility:visible}</style>" + RETRIES
 )
-"""Style that lets a chart's legend show values only while the pointer is in the chart: elsewhere it has none."""
+"""Style that lets a chart's legend show values only while the pointer is in the chart: elsewhere it has none. With it
+goes the script that keeps a connection."""
 
 _log = logging.getLogger(__name__)
 
