@@ -56,6 +56,7 @@ def _round(server: Target, seed: int, examples: int, statuses: dict[int, int], o
             "continue-on-failure": True,
             "workers": 1,
             "generation": {"max-examples": examples, "no-shrink": True, "database": "none"},
+            "phases": {"coverage": {"enabled": outcome.wanted >= 1000}},  # boundary values alone are a thousand
             "checks": {"enabled": False, **{name: {"enabled": True} for name in _CHECKS}},
         }
     )

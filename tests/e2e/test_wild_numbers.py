@@ -26,7 +26,9 @@ def test_the_next_browser_is_served(server: Server, page: Page) -> None:
     for label in ("iterations", "seed"):
         for wild in WILD:
             type_into(frame, label, wild)
-    other = page.context.new_page()
+    browser = page.context.browser
+    assert browser is not None
+    other = browser.new_context(storage_state=page.context.storage_state()).new_page()
     other.goto(f"http://127.0.0.1:{server.port}/")
     viewer_of(other).get_by_role("button", name="Start", exact=True).wait_for(timeout=60_000)
     assert "OverflowError" not in "".join(server._lines)
