@@ -6,6 +6,7 @@ import functools
 import inspect
 import itertools
 import textwrap
+import threading
 import typing
 from collections.abc import Iterator
 
@@ -105,9 +106,13 @@ def docs_of(kind: type) -> dict[str, str]:
     return docs
 
 
+_one_at_a_time = threading.Lock()  # Python 3.11 fails where two threads parse at once: SystemError, recursion depth
+
+
 def _docs_in_source(kind: type) -> dict[str, str]:
     try:
-        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+        with _one_at_a_time:
+            (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     except (OSError, TypeError, SyntaxError):
         return {}
     docs = {}
