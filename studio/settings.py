@@ -94,6 +94,8 @@ class Settings:
     runs wait in a queue."""
     open_browser: bool = True
     """Whether to open the page in the browser once the server is up."""
+    audience: bool = False
+    """Whether to make and print a link for spectators, who can only look, once the server is up."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "root_path", check_prefix(self.root_path))

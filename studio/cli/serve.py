@@ -31,6 +31,9 @@ class ServeArguments(RunsArguments):
     proxy of this machine, or one that FORWARDED_ALLOW_IPS names, may tell it by X-Forwarded-Prefix too."""
     no_browser: bool = False
     """Print the address of the studio without opening it in a browser, as is done over SSH and without a display."""
+    audience: bool = False
+    """Print a second link, for an audience: whoever opens it sees what the first browser shows, and can only look. The
+    page makes such a link too, and ends it."""
     launcher: Literal["local", "slurm"] = "local"
     """Where the trainers of new runs start: on this machine, or on a cluster through Slurm."""
     slurm: tyro.conf.OmitArgPrefixes[SlurmOptions] = SlurmOptions()
@@ -49,6 +52,7 @@ def main(words: Sequence[str]) -> int:
             runs=arguments.runs,
             root_path=arguments.root_path,
             open_browser=not arguments.no_browser,
+            audience=arguments.audience,
             **given,
         )
         launcher = make_launcher(arguments.launcher, options=arguments.slurm)

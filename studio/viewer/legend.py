@@ -17,12 +17,13 @@ def legend_of(take: Take) -> str:
     """Return the legend of what is in the scene as HTML: a swatch and a word for each colour."""
     entries = [
         f'<span style="white-space:nowrap;margin-right:0.9em">{wording.swatch(colour)} {wording.text(words)}</span>'
-        for colour, words in _entries(take)
+        for colour, words in entries_of(take)
     ]
     return wording.paragraph(" ".join(entries)) + (_scale(take.shot.tint) if take.shot.tint else "")
 
 
-def _entries(take: Take) -> Iterator[tuple[Colour, str]]:
+def entries_of(take: Take) -> Iterator[tuple[Colour, str]]:
+    """Yield each colour that stands in the scene, with what it means."""
     goal = _colour_of(take.scenery, "goal")
     if goal:
         yield goal, "goal"
