@@ -172,7 +172,7 @@ class Audience:
     def close(self) -> AudienceState:
         """Void the link, and send all spectators away."""
         self._invitation.revoke()
-        self._phase = "waiting"
+        self._phase, self._scene, self._messages, self._count, self._pose = "waiting", None, [], 0, None
         self.dismiss(ENDED)
         return self.state
 
@@ -247,6 +247,7 @@ class Audience:
         Whoever takes them slowly gets fewer of them, each with all that has changed.
         """
         seat.socket = socket
+        self._moved.beat()  # an earlier one ends
         scene: SceneCopy | None = None
         messages: list[tuple[int, Message]] = []
         known, first, pointed = 0, True, None

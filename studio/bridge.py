@@ -191,7 +191,8 @@ def admit(message: bytes) -> dict[str, Any] | None:
         content = msgspec.msgpack.decode(message)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError):
         return None
-    if not isinstance(content, dict) or content.get("type") not in ALLOWED | UPLOADS or not _can_be_held(content):
+    kind = content.get("type") if isinstance(content, dict) else None
+    if not isinstance(kind, str) or kind not in ALLOWED | UPLOADS or not _can_be_held(content):
         return None
     if content["type"] in _KINDS_CHECKED:
         try:
