@@ -17,10 +17,11 @@ from viser._messages import (
 )
 from viser.infra import Message
 
+from morph_core.history import History
 from studio.desks import Presenting
 from studio.invitation import AUDIENCE, Invitation
 from studio.viewer.presented import Presented, curves_of
-from studio.viewer.scene import USUAL_ASPECT
+from studio.viewer.scene import seen_elsewhere
 from studio.viewer.scene_copy import SceneCopy, frame_of, removal_of
 
 MOST = 60
@@ -98,17 +99,17 @@ class _Pose:
     target: tuple[float, ...]  # (3,) m
     up: tuple[float, ...]  # (3,)
     fov: float
+    aspect: float
+    """Width / height of the presenter's scene."""
 
     def seen_by(self, aspect: float) -> list[Message]:
-        """Return the messages that point a spectator's camera: in a narrow page it stands farther away."""
-        away = max(1.0, USUAL_ASPECT / aspect)
-        target = np.array(self.target)
-        position = target + away * (np.array(self.position) - target)
+        """Return the messages that point the camera of a spectator whose scene has another shape."""
+        position, target = seen_elsewhere(np.array(self.position), np.array(self.target), self.aspect, aspect)
         return [
             SetCameraFovMessage(self.fov),
             SetCameraUpDirectionMessage(_three(self.up)),
             SetCameraPositionMessage(_three(position)),
-            SetCameraLookAtMessage(_three(self.target)),
+            SetCameraLookAtMessage(_three(target)),
         ]
 
 
@@ -143,6 +144,7 @@ class Audience:
         self._frames: dict[tuple[int, bool], bytes] = {}
         """What was encoded since the scene has last moved, by how much of it is known and whether it is the first."""
         self._pose: _Pose | None = None
+        self._seen = Presented()
         self._stage = b""
         self._curves = b""
         self._curves_of: tuple[str, int] | None = None
@@ -310,7 +312,8 @@ class Audience:
             return True
         moved = False
         camera = presenting.client.camera
-        pose = _Pose(tuple(camera.position), tuple(camera.look_at), tuple(camera.up_direction), float(camera.fov))
+        places = (tuple(camera.position), tuple(camera.look_at), tuple(camera.up_direction))
+        pose = _Pose(*places, float(camera.fov), float(camera.aspect))
         if pose != self._pose:
             self._pose, moved = pose, True
         if presenting.scene is not self._scene or presenting.scene.count != self._count:
@@ -347,12 +350,14 @@ class Audience:
 
     async def _listen(self, presenting: Presenting | None, with_curves: bool) -> None:
         """Take in what the presenter's browser says of its scene."""
-        seen, history = Presented(), None
+        if self._phase == "waiting":
+            self._seen = Presented()
+        history: History | None = None
         if presenting is not None:
-            seen, history = await anyio.to_thread.run_sync(lambda: presenting.viewer.presented)
-        stage = msgspec.json.encode(Stage(phase=self._phase, watching=len(self._seats), seen=seen))
+            self._seen, history = await anyio.to_thread.run_sync(lambda: presenting.viewer.presented)
+        stage = msgspec.json.encode(Stage(phase=self._phase, watching=len(self._seats), seen=self._seen))
         curves, of = self._curves, (history.folder.id, len(history.evaluations)) if history else None
-        if with_curves and of != self._curves_of:
+        if with_curves and presenting is not None and of != self._curves_of:
             curves = msgspec.json.encode(await anyio.to_thread.run_sync(curves_of, history) if history else None)
             self._curves_of = of
         if (stage, curves) != (self._stage, self._curves):

@@ -16,10 +16,13 @@ let seated = false;
 
 // --- what is said ----------------------------------------------------------------------------------------------------
 
-// Say in the middle of the scene why nothing is seen there; `busy` where that may change by itself.
-function say(sentence, busy) {
+// Say in the middle of the scene why nothing is seen there; `busy` where that may change by itself, `sheer` where what was
+// seen last stays in sight.
+function say(sentence, busy, sheer = false) {
   find("curtain").hidden = !sentence;
+  find("camera").hidden = Boolean(sentence) || !has3d;
   find("curtain").classList.toggle("still", !busy);
+  find("curtain").classList.toggle("sheer", sheer);
   find("sentence").textContent = sentence;
 }
 
@@ -44,7 +47,7 @@ function showStage({ phase, watching, seen }) {
   find("watching").textContent = watching === 1 ? "You alone are watching." : `${watching} people are watching.`;
   showLegend(seen.legend);
   if (phase === "waiting") say("Waiting for the presenter", true);
-  else if (phase === "left") say("The presenter has left. This page goes on when they come back.", true);
+  else if (phase === "left") say("The presenter has left. This page goes on when they come back.", true, true);
   else say("", false);
 }
 
@@ -75,7 +78,7 @@ function draw(element, series, { name, min, max }) {
   chartIn(element).setOption({
     animation: false, textStyle: { fontFamily: getComputedStyle(document.body).fontFamily, color: css("--text") },
     grid: { left: 46, right: 14, top: 26, bottom: 40 },
-    legend: { show: series.length > 1, type: "scroll", top: 0, left: 60, right: 0, icon: "roundRect", itemWidth: 12, itemHeight: 4, textStyle: { color: css("--text"), fontSize: 12 }, pageTextStyle: { color: css("--faint") } },
+    legend: { show: series.length > 1, top: 0, left: 60, right: 0, padding: 0, itemGap: 12, icon: "roundRect", itemWidth: 12, itemHeight: 4, textStyle: { color: css("--text"), fontSize: 12 } },
     xAxis: { ...axis, name: "iteration", nameLocation: "middle", nameGap: 24, splitLine: { show: false }, min: "dataMin", max: "dataMax" },
     yAxis: { ...axis, name, nameLocation: "end", nameGap: 8, min, max, scale: min === undefined },
     series: series.map(({ label, colour, points }) => ({ type: "line", name: label, data: points, color: colour, symbol: points.length > 1 ? "none" : "circle", lineStyle: { width: 2.2 } })),
@@ -85,7 +88,7 @@ function draw(element, series, { name, min, max }) {
 function drawCurves() {
   const there = Boolean(curves?.iteration.length);
   find("few").hidden = there;
-  find("success-chart").hidden = !there;
+  find("curves").hidden = !there;
   const { iteration = [], success = [], phi = [] } = there ? curves : {};
   const wanted = phi.map(({ name }) => name).join("\n");
   if (find("phi-charts").dataset.names !== wanted) {
@@ -118,7 +121,7 @@ function openScene() {
 async function setFollowing(wanted) {
   follows = wanted;
   find("follow").hidden = wanted;
-  find("whose").textContent = wanted ? "The presenter's view. Drag to look round by yourself." : "Your own view";
+  find("whose").textContent = wanted ? "Presenter's view. Drag to look round." : "Your own view";
   await fetch(`audience/seats/${key}`, { method: "PUT", headers: { "Content-Type": "application/json" }, body: JSON.stringify({ follows: wanted }) }).catch(() => null);
 }
 
@@ -158,7 +161,7 @@ function listen() {
   events.addEventListener("error", () => {
     seated = false;
     if (events.readyState === EventSource.CLOSED) ask();
-    else say(navigator.onLine ? "The studio does not answer. It is tried again." : "This device is offline. It is tried again.", true);
+    else say(navigator.onLine ? "The studio does not answer. It is tried again." : "This device is offline. It is tried again.", true, true);
   });
 }
 

@@ -10,7 +10,7 @@ from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import Evaluation, Status
 from studio.viewer.legend import entries_of
-from studio.viewer.parts import quantities_of
+from studio.viewer.parts import Quantity, quantities_of
 from studio.viewer.player import Player
 
 _MOST_POINTS = 200
@@ -103,20 +103,24 @@ def curves_of(history: History) -> Curves:
         run=history.folder.id,
         iteration=[e.iteration for e in rows],
         success=[e.sampled_success for e in rows],
-        phi=[
-            PhiCurves(
-                name=quantity.name.replace("_", " "),
-                unit=quantity.unit.name,
-                curves=[
-                    PhiCurve(
-                        name=entry.part,
-                        colour=entry.colour,
-                        values=np.round(phi[:, entry.index] * quantity.unit.factor, 4).tolist() if len(rows) else [],
-                    )
-                    for entry in quantity.entries
-                ],
+        phi=[_phi_curves(quantity, phi) for quantity in quantities_of(history)] if rows else [],
+    )
+
+
+def _phi_curves(quantity: Quantity, phi: np.ndarray) -> PhiCurves:
+    """Return the curves of one quantity, of designs phi (n, d); numbered parts of one kind go by their numbers."""
+    parts = [entry.part.rpartition(" ") for entry in quantity.entries]
+    numbered = len({kind for kind, _, _ in parts}) == 1 and all(kind and number.isdigit() for kind, _, number in parts)
+    return PhiCurves(
+        name=quantity.name.replace("_", " ") + (f" by {parts[0][0]}" if numbered else ""),
+        unit=quantity.unit.name,
+        curves=[
+            PhiCurve(
+                name=number if numbered else entry.part,
+                colour=entry.colour,
+                values=np.round(phi[:, entry.index] * quantity.unit.factor, 4).tolist(),
             )
-            for quantity in quantities_of(history)
+            for entry, (_, _, number) in zip(quantity.entries, parts, strict=True)
         ],
     )
 

@@ -115,7 +115,9 @@ def next_of(events: Iterator[tuple[str, Any]], kind: str) -> Any:
 
 def presenting(scene: SceneCopy, position: tuple[float, ...] = (0.0, -2.0, 1.0)) -> Presenting:
     """Return a browser that shows a scene, without a viewer behind it."""
-    camera = SimpleNamespace(position=position, look_at=(0.0, 0.0, 0.0), up_direction=(0.0, 0.0, 1.0), fov=0.7)
+    camera = SimpleNamespace(
+        position=position, look_at=(0.0, 0.0, 0.0), up_direction=(0.0, 0.0, 1.0), fov=0.7, aspect=1.0
+    )
     client: Any = SimpleNamespace(camera=camera)
     viewer: Any = SimpleNamespace(presented=(SEEN, None))
     return Presenting(client, viewer, scene)
@@ -340,7 +342,8 @@ def test_spectators_are_told_what_is_shown_and_when_nobody_shows_anything(
         stage = next(s for kind, s in events if kind == "stage" and s["phase"] == "on" and s["seen"]["run"])
         assert (stage["seen"]["title"], stage["seen"]["iteration"]) == ("A task of the tests", 7)
         hall.served.viewer.presents = None
-        assert next(s for kind, s in events if kind == "stage" and s["phase"] == "left")
+        left = next(s for kind, s in events if kind == "stage" and s["phase"] == "left")
+        assert left["seen"]["run"] == "a-run", "what was seen last stays"
 
 
 # --- the scene --------------------------------------------------------------------------------------------------------
