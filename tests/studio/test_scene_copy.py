@@ -62,7 +62,7 @@ def removed(name: str) -> Message:
 def seen(nodes: dict[str, dict[str, Any]], messages: list[dict[str, Any]]) -> None:
     """Bring nodes up to date by messages, as viser's client does."""
     for message in messages:
-        name = message.get("name")
+        name = message.get("name", "")
         match message["type"]:
             case "FrameMessage":
                 nodes[name] = {}
