@@ -60,7 +60,7 @@ from studio.spectators import spectators_router
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
-from studio.viewer import Viewer
+from studio.viewer.viewer import Viewer
 from studio.what_if import WhatIfs
 
 SHOW_INTERVAL = 0.2

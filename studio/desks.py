@@ -12,9 +12,10 @@ import viser
 from morph_core.history import History
 from morph_core.protocol import Status
 from studio.credentials import KEY
-from studio.viewer import Viewer, wording
+from studio.viewer import wording
 from studio.viewer.scene_copy import SceneCopy
 from studio.viewer.view import Seen, View
+from studio.viewer.viewer import Viewer
 
 MOST = 8
 """Largest number of browsers that are shown runs at once; another one waits until one of them leaves."""

@@ -4,7 +4,8 @@ import threading
 import time
 from dataclasses import dataclass
 
-from studio.runs import Runs, Summary
+from studio.lines import Summary
+from studio.runs import Runs
 
 _SHARED = 0.8
 """Seconds for which one reading of the folder serves all who wait for news."""

@@ -206,7 +206,7 @@ print(env.spec.max_episode_steps, env.observation_space.shape, env.render().shap
 
 def test_the_task_passes_the_contract_of_every_task(site: Path) -> None:
     suite = ROOT / "tests" / "core" / "test_task_contract.py"
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", suite, "-k", "own_throw"]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", "0", suite, "-k", "own_throw"]
     ended = subprocess.run(command, env=beside(site), cwd=ROOT, capture_output=True, text=True, timeout=200)
     assert ended.returncode == 0, ended.stdout
     assert int(re.findall(r"(\d+) passed", ended.stdout)[0]) > 10

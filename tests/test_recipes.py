@@ -19,12 +19,34 @@ from morph_core.catalogue import broken_plugins
 
 assert not broken_plugins(), broken_plugins()
 small = {{"trajectories": 8, "hidden": 16, "ppo.epochs": 1, "ppo.minibatches": 1}}
-task = make_task({task!r})
-method = make_method({method!r}, task, small | {settings!r})
-state = start(task, method, seed=0)
-progress = list(islice(method.iterations(task, state), 2))
-print(method.rules(), "|", progress[-1].iteration, state.phi.tolist() != task.design_space.initial.tolist())
+for name, named, settings in {runs!r}:
+    task = make_task(name)
+    method = make_method(named, task, small | settings)
+    state = start(task, method, seed=0)
+    progress = list(islice(method.iterations(task, state), 2))
+    print(method.rules(), "|", progress[-1].iteration, state.phi.tolist() != task.design_space.initial.tolist())
 """
+RUNS = [
+    ("spoke", "morph", {}, "z explored by design, φ searched by cma, projection none"),
+    ("reacher", "morph", {"search": "compass", "search.step": 0.2}, "z explored by design, φ searched by compass"),
+    ("reacher", "morph", {"exploration": "signs"}, "z explored by signs, φ searched by cma"),
+    ("reacher", "best_of", {"designs.sigma": 2.0}, "φ is the design whose episode returned most"),
+    ("spoke", "best_of", {}, "φ is the design whose episode returned most"),
+    (
+        "spoke",
+        "morph",
+        {"exploration": "signs", "search": "compass", "search.step": 0.01},
+        "z explored by signs, φ searched by compass",
+    ),
+]
+"""Task, method, settings, and what such a run says of its rules."""
+ADDED = [("searches", "compass", {"search": "compass"}), ("explorations", "signs", {"exploration": "signs"})]
+"""Where one new file goes, the name of what it adds, and how it is asked for."""
+
+
+def ran(runs: list[tuple[str, str, dict[str, object]]], site: Path) -> list[str]:
+    """Return what two iterations of each of these runs print, in one process that sees what is in `site`."""
+    return python(RUN.format(runs=runs), site).splitlines()
 
 
 @pytest.fixture(scope="module")
@@ -47,40 +69,28 @@ def test_every_entry_point_of_the_recipes_has_its_file() -> None:
     assert len(named) == 4
 
 
-@pytest.mark.parametrize(
-    ("task", "method", "settings", "rules"),
-    [
-        ("spoke", "morph", {}, "z explored by design, φ searched by cma, projection none"),
-        ("reacher", "morph", {"search": "compass", "search.step": 0.2}, "z explored by design, φ searched by compass"),
-        ("reacher", "morph", {"exploration": "signs"}, "z explored by signs, φ searched by cma"),
-        ("reacher", "best_of", {"designs.sigma": 2.0}, "φ is the design whose episode returned most"),
-        ("spoke", "best_of", {}, "φ is the design whose episode returned most"),
-        (
-            "spoke",
-            "morph",
-            {"exploration": "signs", "search": "compass", "search.step": 0.01},
-            "z explored by signs, φ searched by compass",
-        ),
-    ],
-)
-def test_what_a_recipe_shows_runs(site: Path, task: str, method: str, settings: dict[str, object], rules: str) -> None:
-    said, did = python(RUN.format(task=task, method=method, settings=settings), site).split(" | ")
+@pytest.fixture(scope="module")
+def shown(site: Path) -> list[str]:
+    """What the runs of the recipes print."""
+    return ran([(task, method, settings) for task, method, settings, _ in RUNS], site)
+
+
+@pytest.mark.parametrize(("run", "rules"), [(i, rules) for i, (*_, rules) in enumerate(RUNS)])
+def test_what_a_recipe_shows_runs(shown: list[str], run: int, rules: str) -> None:
+    said, did = shown[run].split(" | ")
     assert said.startswith(rules)
-    assert did == "2 True\n"
+    assert did == "2 True"
 
 
-@pytest.mark.parametrize(
-    ("folder", "name", "settings"),
-    [("searches", "compass", {"search": "compass"}), ("explorations", "signs", {"exploration": "signs"})],
-)
-def test_in_this_repository_one_new_file_is_all_it_takes(
-    tmp_path: Path, folder: str, name: str, settings: dict[str, object]
-) -> None:
+def test_in_this_repository_a_new_file_is_all_it_takes(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "morph_core", tmp_path / "morph_core", ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "morph_core" / folder / f"{name}.py").write_text(FILES[name])
-    said, did = python(RUN.format(task="reacher", method="morph", settings=settings), tmp_path).split(" | ")
-    assert name in said
-    assert did == "2 True\n"
+    for folder, name, _ in ADDED:
+        (tmp_path / "morph_core" / folder / f"{name}.py").write_text(FILES[name])
+    shown = ran([("reacher", "morph", settings) for *_, settings in ADDED], tmp_path)
+    for (_, name, _), line in zip(ADDED, shown, strict=True):
+        said, did = line.split(" | ")
+        assert name in said
+        assert did == "2 True"
 
 
 def test_the_lines_of_a_recipe_are_as_long_as_ours() -> None:

@@ -12,10 +12,10 @@ from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, 
 from studio.audience import AudienceState
 from studio.credentials import KEY
 from studio.fields import Field
+from studio.lines import Row, Summary
 from studio.log import LogEntry
 from studio.moments import Moment
 from studio.new_run import Number, StartRun
-from studio.runs import Row, Summary
 from studio.shelf.marks import Marks, MarksChange
 from studio.shelf.traces import Overlay
 from studio.shelf.trash import Trashed

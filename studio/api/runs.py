@@ -10,10 +10,11 @@ from morph_core.run_folder import RunFolderError
 from studio.api.messages import Accepted, ResumeRun, RunState, body_of, gives, reply, sender_of, takes, versioned
 from studio.branches import children_of
 from studio.limits import LAST_ITERATION
+from studio.lines import Summary
 from studio.log import LogEntry, log_of
 from studio.moments import Moment, moment_of
 from studio.new_run import StartRun
-from studio.runs import Runs, Summary
+from studio.runs import Runs
 
 _ANSWERS_SHOWN = 20
 

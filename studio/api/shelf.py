@@ -8,7 +8,8 @@ from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.responses import FileResponse
 
 from studio.api.messages import Purged, body_of, gives, gives_file, reply, takes, versioned
-from studio.runs import Row, Runs
+from studio.lines import Row
+from studio.runs import Runs
 from studio.shelf import trash
 from studio.shelf.marks import Marks, MarksChange
 from studio.shelf.thumbnails import Thumbnails

@@ -1,4 +1,4 @@
-"""`morph-studio replay`: do a run again from its seed and its log, and compare phi with what it wrote."""
+"""`morph-studio replay`: a run done again from its seed and its log and compared, or its evolution as one page."""
 
 import contextlib
 import json
@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
 
@@ -15,6 +16,7 @@ import tyro
 from morph_core.history import History
 from studio.cli.arguments import RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import open_run
+from studio.cli.evolution import write_evolution
 from studio.cli.output import complain, say, write_json
 from studio.new_run import PACKAGES, git_state
 from studio.trainers import trainer_environment
@@ -23,16 +25,19 @@ from studio.versions import versions_of
 
 @dataclass(frozen=True)
 class ReplayArguments(RunsArguments):
-    """Do a run again from its seed and its log, and compare phi of each iteration with what it wrote.
+    """Do a run again from its seed and its log, and compare phi of each iteration with what it wrote; or write its
+    whole evolution as one HTML file.
 
     The run itself is only read. Ctrl-C ends the replay with what was found so far. The exit status is 0 where phi is
     the same to the last bit, 1 where it differs.
     """
 
-    run: Annotated[RunName, tyro.conf.Positional] = tyro.MISSING
-    """Run to replay: its name, or the path of its folder."""
+    run: Annotated[tuple[RunName, ...], tyro.conf.Positional] = tyro.MISSING
+    """Run to replay: its name, or the path of its folder. With --html up to four runs of one task, side by side."""
     check: bool = False
     """Compare phi of each iteration, and report the first that differs."""
+    html: Annotated[Path | None, tyro.conf.arg(metavar="PATH.html")] = None
+    """File to write, which opens from disk without a network: bodies, traces and episodes of all iterations."""
     until: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Last iteration to compare, by default the last recorded one."""
     json: bool = False
@@ -42,9 +47,23 @@ class ReplayArguments(RunsArguments):
 def main(words: Sequence[str]) -> int:
     """Run `morph-studio replay` with these words; return the exit status. UsageError says what is allowed."""
     arguments = parse(ReplayArguments, words, "replay")
-    if not arguments.check:
-        raise UsageError("replay: give --check, which compares phi with what the run wrote")
-    history = open_run(arguments.runs, arguments.run)
+    if arguments.check == (arguments.html is not None):
+        raise UsageError(
+            "replay: give --check, which compares phi with what the run wrote, or --html PATH.html, which writes the "
+            "evolution as one page"
+        )
+    histories = [open_run(arguments.runs, run) for run in arguments.run]
+    if arguments.html is not None:
+        if arguments.until is not None:
+            raise UsageError("replay: --until goes with --check; the page holds the whole evolution")
+        return write_evolution(histories, arguments.html, json=arguments.json)
+    if len(histories) > 1:
+        raise UsageError(f"replay: --check compares one run, not {len(histories)}")
+    return _check(histories[0], arguments)
+
+
+def _check(history: History, arguments: ReplayArguments) -> int:
+    """Compare a run with what it wrote; return the exit status."""
     last = history.iteration if arguments.until is None else arguments.until
     if not history.begins_at < last <= history.iteration:
         first = history.begins_at + 1

@@ -9,7 +9,6 @@ import msgspec
 
 from morph_core import run_folder
 from morph_core.protocol import Parent
-from morph_core.run_folder import RunFolderError
 from studio.branches import Member, place_in_words, trees
 from studio.cli.arguments import RunsArguments, parse
 from studio.cli.output import write_json
@@ -56,19 +55,13 @@ def list_runs(folder: Path, takes: Callable[[Marks], bool]) -> list[dict[str, ob
     runs = Runs(folder)
     runs.ask_slurm()
     lines = []
-    for summary in runs.summaries():
-        if not takes(summary.marks):
+    for row in runs.rows():
+        if not takes(row.marks):
             continue
-        line = msgspec.to_builtins(summary)
+        line = msgspec.to_builtins(row)
         del line["current"]  # which run a browser shows is the server's to know
-        try:
-            best = runs.get(summary.id).best
-        except RunFolderError:
-            best = None
-        line["best"] = best and {
-            "iteration": best.iteration, "success": best.sampled_success, "episode_return": best.sampled_return,
-            "milestones": best.milestones,
-        }  # fmt: skip
+        best = line.pop("outcome")["best"]
+        line["best"] = best and {name: value for name, value in best.items() if name != "phi"}
         lines.append(line)
     return lines
 

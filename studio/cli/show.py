@@ -1,6 +1,5 @@
 """`morph-studio show`: write one HTML file in which an exported hand runs live, without a network."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,9 +7,11 @@ from typing import Annotated
 
 import tyro
 
-from studio.cli.arguments import RunName, RunsArguments, UsageError, parse
+from studio.cli.arguments import RunName, RunsArguments, parse
 from studio.cli.choice import check_design, open_run
 from studio.cli.export import DesignName
+from studio.cli.output import complain
+from studio.cli.pages import check_place, write_page
 
 
 @dataclass(frozen=True)
@@ -28,26 +29,15 @@ class ShowArguments(RunsArguments):
 def main(words: Sequence[str]) -> int:
     """Run `morph-studio show` with these words; return the exit status."""
     arguments = parse(ShowArguments, words, "show")
-    from morph_core.durable import write_file
     from studio.export.errors import ExportError
     from studio.show.page import build_page
 
     history = open_run(arguments.runs, arguments.run)
     check_design(history, arguments.design)
-    if not arguments.out.parent.is_dir():
-        raise UsageError(f"show: there is no folder {arguments.out.parent} to write into")
+    check_place(arguments.out, "show")
     try:
         page = build_page(history, arguments.design)
     except ExportError as error:
-        print(f"morph-studio: show: {error}", file=sys.stderr)  # noqa: T201
+        complain(f"morph-studio: show: {error}")
         return 1
-    try:
-        write_file(arguments.out, page.content)
-    except OSError as error:
-        reason = error.strerror or error
-        print(f"morph-studio: show: can't write {arguments.out}: {reason}", file=sys.stderr)  # noqa: T201
-        return 1
-    if page.missing:
-        print(f"morph-studio: show: {page.missing}", file=sys.stderr)  # noqa: T201
-    print(arguments.out)  # noqa: T201
-    return 0
+    return write_page(page, arguments.out, "show")

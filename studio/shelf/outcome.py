@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 
 from morph_core import inside
-from morph_core.protocol import AnyEvent, Evaluation, Progress, StateChanged, decode_event
+from morph_core.protocol import AnyEvent, Evaluation, Measure, Progress, Rate, StateChanged, Whole, decode_event
 from morph_core.run_folder import EVENTS_BYTES
 
 _EVERY_ITERATION = b'"kind":"progress"'
@@ -17,16 +17,18 @@ _EVERY_ITERATION = b'"kind":"progress"'
 class Score(msgspec.Struct, frozen=True):
     """Success and return of a design on Hw-Phy, over the episodes of one evaluation with the sampled policy."""
 
-    iteration: int
-    success: float
+    iteration: Whole
+    success: Rate
     episode_return: float
-    phi: list[float]
+    phi: list[Measure]
+    milestones: dict[str, Rate] = {}
+    """Shares of the episodes that reached each milestone before the goal."""
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """What a run has come to so far."""
 
-    env_steps: int | None = None
+    env_steps: Whole | None = None
     """Environment steps of the trajectories."""
     seconds: float | None = None
     """Time that trainers were at work, pauses included, in seconds."""
@@ -99,7 +101,10 @@ def landmarks(folder: Path) -> list[AnyEvent]:
 
 def score_of(evaluation: Evaluation) -> Score:
     """Return what an evaluation says of the sampled policy."""
-    return Score(evaluation.iteration, evaluation.sampled_success, evaluation.sampled_return, evaluation.phi)
+    return Score(
+        evaluation.iteration, evaluation.sampled_success, evaluation.sampled_return, evaluation.phi,
+        evaluation.milestones,
+    )  # fmt: skip
 
 
 def _kept(evaluations: list[Evaluation], start: StateChanged) -> list[Evaluation]:

@@ -1,46 +1,26 @@
 """hand.html: one file that needs no network, in which a hand runs live, and what is known of its design as text."""
 
-import base64
-import gzip
-import hashlib
 import json
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import partial
 from html import escape
-from pathlib import Path
 
 import numpy as np
 
 from morph_core.history import History
-from morph_core.picture import png
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError
-from morph_core.task import Task
 from studio.export.bundle import task_of
 from studio.export.errors import ExportError
 from studio.show.hand import check_hand, hand_of, rule_of
 from studio.show.shaping import shaping_of
+from studio.show.sheet import Page, filled, packed_text, picture, wasm
 
-SCRIPTS = ("policy.js", "world.js", "shape.js", "stage.js", "pull.js", "hand.js")
+SCRIPTS = ("page.js", "policy.js", "world.js", "shape.js", "stage.js", "view.js", "pull.js", "hand.js")
 """The page's own scripts, in the order in which they are put together as one module."""
-PICTURE_WIDTH, PICTURE_HEIGHT = 960, 720
-_FOLDER = Path(__file__).parent
+STYLES = ("page.css", "hand.css")
 _NO_POLICY = (
     "This run holds no checkpoint of this design, so that there is no policy: the hand holds its start posture. "
     "It can be pulled and pushed all the same."
 )
-
-
-@dataclass(frozen=True)
-class Page:
-    """A page that has been written."""
-
-    content: bytes
-    """The bytes of the HTML file."""
-    missing: str
-    """A sentence on what the page lacks; empty where it has everything."""
 
 
 def build_page(history: History, which: str) -> Page:
@@ -72,33 +52,13 @@ def build_page(history: History, which: str) -> Page:
         "rule": escape(task.success_rule),
         "success": _success(_recorded(history, iteration, phi)),
         "rows": _rows(history, iteration, phi),
-        "picture": _picture(task, phi),
+        "picture": picture(task, phi),
         "missing": escape(missing),
     }
-    return Page(_filled(known, hands), missing)
-
-
-def _filled(known: Mapping[str, str], hands: Mapping[str, object]) -> bytes:
-    """Return the template with all that it names, and a policy that allows exactly the scripts and the style in it."""
-    scripts = {
-        "three": _read("vendor/three.js"),
-        "mujoco": _read("vendor/mujoco.js"),
-        "script": "\n".join(_read(f"shipped/{name}") for name in SCRIPTS),
-    }
-    style = _read("shipped/hand.css")
-    blobs = {
-        "wasm": _base64((_FOLDER / "vendor" / "mujoco.wasm.gz").read_bytes()),
-        "hands": _packed(json.dumps(hands, allow_nan=False).encode()),
-        "licences": _packed((_FOLDER / "vendor" / "LICENSES.txt").read_bytes()),
-    }
-    allowed = " ".join(_hash(script) for script in scripts.values())
-    policy = (
-        f"default-src 'none'; script-src {allowed} 'wasm-unsafe-eval'; style-src {_hash(style)}; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
-    )
-    values = {**known, **scripts, **blobs, "style": style, "policy": policy}
-    page = re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], _read("shipped/hand.html"))
-    return page.encode()
+    packed = {"wasm": wasm(), "hands": packed_text(json.dumps(hands, allow_nan=False).encode())}
+    vendor = ("three.js", "mujoco.js")
+    content = filled("hand.html", known, vendor=vendor, scripts=SCRIPTS, styles=STYLES, packed=packed)
+    return Page(content, missing)
 
 
 def _recorded(history: History, iteration: int, phi: np.ndarray) -> Evaluation | None:
@@ -121,32 +81,3 @@ def _rows(history: History, iteration: int, phi: np.ndarray) -> str:
         f"<td>{escape(p.unit)}<td>"
         for p, value in zip(history.at(iteration).space.parameters, phi, strict=True)
     )
-
-
-def _picture(task: Task, phi: np.ndarray) -> str:
-    """Return the design in its start posture as a data URL."""
-    from morph_core.envs.view import View  # with it comes Gymnasium
-
-    hw_phy = task.hw_phy(phi)
-    start = task.reset(hw_phy, 1, np.random.default_rng(0))[0]
-    image = View(task, phi, hw_phy, PICTURE_WIDTH, PICTURE_HEIGHT).on_clear_ground(start)
-    return f"data:image/png;base64,{_base64(png(image))}"
-
-
-def _read(name: str) -> str:
-    return (_FOLDER / name).read_text(encoding="utf-8")
-
-
-def _hash(text: str) -> str:
-    return f"'sha256-{_base64(hashlib.sha256(text.encode()).digest())}'"
-
-
-def _base64(content: bytes) -> str:
-    return base64.b64encode(content).decode()
-
-
-_compressed = partial(gzip.compress, compresslevel=9, mtime=0)
-
-
-def _packed(content: bytes) -> str:
-    return _base64(_compressed(content))

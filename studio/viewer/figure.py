@@ -106,16 +106,16 @@ class Figure:
 
     @classmethod
     def balls(cls, centres: np.ndarray, radius: float, name: str, colour: tuple[int, int, int]) -> "Figure":
-        """Return a figure of balls with one colour and one radius (m) round centres (n, 3) m."""
-        n = len(centres)
+        """Return a figure of balls with one colour and one radius (m) round centres (T, n, 3) m."""
+        instants, n, _ = centres.shape
         return cls(
             names=(name,) * n,
             kinds=("sphere",) * n,
             sizes=np.full((n, 3), radius),
             colours=np.tile(np.array(colour, np.uint8), (n, 1)),
             meshes=(None,) * n,
-            positions=centres.astype(np.float32).reshape(1, n, 3),
-            wxyz=np.tile(np.array([1, 0, 0, 0], np.float32), (1, n, 1)),
+            positions=centres.astype(np.float32),
+            wxyz=np.tile(np.array([1, 0, 0, 0], np.float32), (instants, n, 1)),
         )
 
     @classmethod

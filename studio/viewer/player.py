@@ -13,7 +13,6 @@ from studio.viewer.figure import Figure
 from studio.viewer.ghosts import Beside, Crowd, make_crowd
 from studio.viewer.newest import Newest
 from studio.viewer.scene import (
-    CONTACT_COLOUR,
     FORCE_COLOUR,
     GHOST_COLOURS,
     Arrows,
@@ -30,8 +29,6 @@ _HOLD = 1.0
 """Seconds for which the last frame stays before the loop begins again."""
 _IDLE = 0.25
 """Seconds between two looks for a browser while nobody watches."""
-_CONTACT_RADIUS = 0.012
-"""Radius of a contact marker, as a share of the scene's longest side."""
 _ARROW_RADIUS = 0.006
 """Radius of a force's arrow, as a share of the scene's longest side."""
 
@@ -76,7 +73,6 @@ class Player:
         self._built: Shot | None = None
         self._done: Shot | None = None
         self._painted: dict[Layer, np.ndarray] = {}
-        self._marked: bytes | None = None
         self._time = 0.0
         self._drawn = -1
         self._sought = False
@@ -216,6 +212,7 @@ class Player:
             self._scenery.show(take.scenery)
             self._objects.show(take.objects, self._instant_of(take))
             self._robot.show(take.robot, self._instant_of(take))
+            self._contact.show(take.markers, self._instant_of(take))
             self._put_up_second(take.second)
             self._ghost.show(take.ghost, 0, _plain(take.ghost, "ghost"))
         self._painted = {self._scenery: take.scenery.colours, self._objects: take.objects.colours}
@@ -289,7 +286,7 @@ class Player:
                 self._second_objects.pose(self._instant_of(take.second))
             self._paint(self._scenery, take.scenery_colours(frame))
             self._paint(self._objects, take.object_colours(frame))
-            self._mark(take.contact[frame], take)
+            self._contact.pose(frame)
             radius = _ARROW_RADIUS * float(np.max(take.box[1] - take.box[0]))
             self._forces.show(take.forces.at(frame) if take.forces else np.zeros((0, 2, 3)), radius)
         self._host.flush()  # else viser waits for as long as a frame lasts, and every few frames two become one
@@ -298,15 +295,6 @@ class Player:
         if not np.array_equal(colours, self._painted.get(layer, colours)):
             layer.paint(colours)
         self._painted[layer] = colours
-
-    def _mark(self, points: np.ndarray, take: Take) -> None:
-        """Put markers at points (C, 3), but at none that is NaN."""
-        marked = points[np.isfinite(points).all(1)]
-        if marked.tobytes() == self._marked:
-            return
-        self._marked = marked.tobytes()
-        radius = _CONTACT_RADIUS * float(np.max(take.box[1] - take.box[0]))
-        self._contact.show(Figure.balls(marked, radius, "contact", CONTACT_COLOUR) if len(marked) else None)
 
 
 def _plain(figure: Figure | None, layer: str) -> np.ndarray | None:

@@ -17,9 +17,11 @@ from morph_core.run_folder import RunFolder, episode_arrays, read_episode
 from morph_core.task import Task
 from studio.robots.chooser import robot_of
 from studio.robots.parts import dress, stl_files
+from studio.viewer.episode import Episode, episode_in
 from studio.viewer.figure import Figure, smooth
 from studio.viewer.ghosts import Beside, filled, standing, start_posture
-from studio.viewer.scene import is_flat, round_up
+from studio.viewer.scene import CONTACT_COLOUR, is_flat, round_up
+from studio.viewer.split import names_of, split
 from studio.viewer.tint import Tint, painted
 
 Corners = tuple[np.ndarray, np.ndarray]
@@ -30,8 +32,6 @@ GOAL_LIT = (20, 200, 90)
 WALL_LIT = (235, 90, 50)
 LIT_BY = {"button": ("pressed", (255, 214, 40))}
 """Milestone that lights up a geom, and its colour then, by the geom's name."""
-_FIXED = ("goal", "wall", "table")
-"""Words with which the names of what never moves begin."""
 _LINGER = 0.3
 """Seconds for which a contact stays lit."""
 _TABLE_MARGIN = 0.15
@@ -45,6 +45,11 @@ _TINT = 0.6
 _GAP = 0.15
 """Gap between two designs side by side, as a share of the scene's width there."""
 _GHOST_THICKNESS = 0.85
+_MARKER_RADIUS = 0.012
+"""Radius of a contact marker, as a share of the scene's longest side."""
+_OUT_OF_SIGHT = -1e4
+"""Height in m of the markers of contacts that are none now: browsers move markers at once, and are slow to make new
+ones."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +144,8 @@ class Take:
     """Frames in which each milestone is reached, by its name: (F,) bool each."""
     contact: np.ndarray
     """Points (F, C, 3) in m where something is touched; NaN for nothing."""
+    markers: Figure | None
+    """Markers of the contacts, one for each of C; None where nothing is ever touched."""
     touched: np.ndarray
     """Parts of the scenery that are touched, (F, n) bool."""
     box: Corners
@@ -187,16 +194,6 @@ class Take:
         return colours
 
 
-@dataclass(frozen=True)
-class _Episode:
-    """T steps of a recorded episode, T + 1 postures."""
-
-    qpos: np.ndarray  # (T + 1, nq)
-    success: np.ndarray  # (T,) bool
-    milestones: dict[str, np.ndarray]  # each (T,) bool
-    contact: np.ndarray  # (T, C, 3) m
-
-
 def make_take(shot: Shot) -> Take:
     """Build the designs, read the episode, place every part. Raise ValueError if task or episode is no good."""
     task = make_task(shot.task, dict(shot.task_options))
@@ -204,12 +201,12 @@ def make_take(shot: Shot) -> Take:
     phi = np.asarray(recorded.get("phi", shot.phi), float)
     model, of_robot = _models(task, phi, shot.printed)
     if recorded:
-        episode = _episode(recorded, model.nq)
+        episode = episode_in(recorded, model.nq)
     else:
-        episode = _Episode(start_posture(task, phi), np.zeros(0, bool), {}, np.zeros((0, 1, 3)))
+        episode = Episode(start_posture(task, phi), np.zeros(0, bool), {}, np.zeros((0, 1, 3)))
     factor = max(1, round(task.control_dt * FRAMES_PER_SECOND))
     frames = smooth(model, filled(model, episode.qpos), factor)
-    robot, objects, scenery = _split(Figure.from_model(model, frames), of_robot)
+    robot, objects, scenery = split(Figure.from_model(model, frames), of_robot)
     if shot.tint:
         robot = dataclasses.replace(robot, colours=painted(robot, shot.tint))
     contact = _moving_contacts(episode.contact, factor, len(frames))
@@ -227,6 +224,7 @@ def make_take(shot: Shot) -> Take:
         goal_touched=_from_their_end(episode.success, factor, len(frames)),
         milestones={name: _from_their_end(m, factor, len(frames)) for name, m in episode.milestones.items()},
         contact=contact,
+        markers=_markers(contact, _MARKER_RADIUS * _longest_side(box)),
         touched=_touched(scenery, contact),
         box=box,
         floor=floor,
@@ -312,40 +310,7 @@ def _models(task: Task, phi: np.ndarray, printed: bool) -> tuple[mujoco.MjModel,
             files = stl_files(parts)
             specs = [dress(spec, parts, files) for spec in specs]
     scene, alone = specs
-    return scene.compile(), _names(alone)
-
-
-def _names(robot: mujoco.MjSpec) -> set[str]:
-    """Return the names of a robot's bodies and geoms; to compile it for them would take as long as the scene does."""
-    return {body.name for body in robot.bodies} - {"world"} | {geom.name for geom in robot.geoms} - {""}
-
-
-def _split(whole: Figure, of_robot: set[str]) -> tuple[Figure, Figure, Figure]:
-    """Return the robot, whose bodies and geoms have these names; what else moves; and what never moves."""
-    fixed = [i for i, name in enumerate(whole.names) if name.startswith(_FIXED)]
-    robot = [i for i, name in enumerate(whole.names) if name in of_robot and i not in fixed]
-    objects = [i for i in range(len(whole)) if i not in fixed and i not in robot]
-    return whole.take(robot), whole.take(objects), whole.take(fixed)
-
-
-def _episode(recorded: dict[str, np.ndarray], nq: int) -> _Episode:
-    """Return a recorded episode, whatever else its file holds; ValueError if its arrays don't fit."""
-    qpos = np.atleast_2d(np.asarray(recorded.get("qpos", np.zeros((0, nq))), float))
-    steps = len(qpos) - 1
-    if steps < 0 or not np.isfinite(qpos).all():
-        raise ValueError("the recorded episode holds no finite postures")
-    success = np.asarray(recorded.get("success", np.zeros(steps)), bool).reshape(-1)
-    contact = np.asarray(recorded.get("contact", np.full((steps, 1, 3), np.nan)), float)
-    contact = contact.reshape(len(contact), -1, 3) if contact.size else contact.reshape(len(contact), 0, 3)
-    prefix = "milestones/"
-    milestones = {
-        name.removeprefix(prefix): np.asarray(reached, bool).reshape(-1)
-        for name, reached in recorded.items()
-        if name.startswith(prefix)
-    }
-    if any(len(array) != steps for array in (success, contact, *milestones.values())):
-        raise ValueError("the recorded episode's success, milestones and contact don't fit its postures")
-    return _Episode(qpos, success, milestones, contact)
+    return scene.compile(), names_of(alone)
 
 
 def _from_their_end(reached: np.ndarray, factor: int, frames: int) -> np.ndarray:
@@ -366,6 +331,15 @@ def _moving_contacts(contact: np.ndarray, factor: int, frames: int) -> np.ndarra
             share = np.arange(factor)[:, None] / factor
             points[begin : begin + factor, c] = (1 - share) * contact[t, c] + share * contact[t + 1, c]
     return points
+
+
+def _markers(contact: np.ndarray, radius: float) -> Figure | None:
+    """Return markers of this radius in m where (F, C, 3) is touched."""
+    touched = np.isfinite(contact).all(2)
+    if not touched.any():
+        return None
+    places = np.where(touched[..., None], contact, [0.0, 0.0, _OUT_OF_SIGHT])
+    return Figure.balls(places[:, touched.any(0)], radius, "contact", CONTACT_COLOUR)
 
 
 def _touched(scenery: Figure, contact: np.ndarray) -> np.ndarray:
@@ -389,7 +363,7 @@ def _frame(name: str, options: str) -> tuple[Corners, Corners]:
     phi = task.design_space.initial
     model = task.scene(phi).compile()
     whole = Figure.from_model(model, filled(model, start_posture(task, phi)))
-    robot, objects, scenery = _split(whole, _names(task.spec(phi)))
+    robot, objects, scenery = split(whole, names_of(task.spec(phi)))
     tables = [i for i, name in enumerate(scenery.names) if name.startswith("table")]
     table, around = scenery.take(tables), scenery.take([i for i in range(len(scenery)) if i not in tables])
     boxes = [figure.extent() for figure in (robot, objects, around) if len(figure)]

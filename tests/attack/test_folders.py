@@ -233,7 +233,7 @@ def test_one_run_that_hangs_keeps_no_other_waiting(tmp_path: Path) -> None:
     go_on, inside_of_it = threading.Event(), threading.Event()
 
     def hang() -> None:
-        with runs._turn("slow"):
+        with runs._histories.turn("slow"):
             inside_of_it.set()
             go_on.wait(20)
 

@@ -20,7 +20,7 @@ from studio.bridge import GuardedViser
 from studio.desks import Desks
 from studio.elements import element_of, settled
 from studio.export.bundle import Bundle
-from studio.viewer import Viewer
+from studio.viewer.viewer import Viewer
 from tests.studio.conftest import NAME, Neighbours, Oracle, Stars, eventually, make_run
 
 CAMERA = {

@@ -28,11 +28,23 @@ TASK = make_task("reacher")
 METHODS = ("morph", "cmaes_rl", "direct", "no_hw_opt", "transform2act", "value_gradient")
 
 
-def trained(runs: Path, method: Method = SMALL, iterations: int = 6, name: str = "parent") -> History:
-    """Train a run in this process, with a checkpoint after every second iteration."""
-    folder = make_run(runs, name, method, iterations=iterations)
+def trained(runs: Path, method: Method = SMALL, iterations: int = 6) -> History:
+    """Train the run `parent` in this process, with a checkpoint after every second iteration."""
+    folder = make_run(runs, "parent", method, iterations=iterations)
     Trainer(folder).run()
     return History(folder)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a trained run, to be copied."""
+    return trained(tmp_path_factory.mktemp("whole")).folder.path
+
+
+@pytest.fixture
+def parent(whole: Path, tmp_path: Path) -> History:
+    """A trained run that a test may damage."""
+    return History(RunFolder(shutil.copytree(whole, tmp_path / whole.name)))
 
 
 def branch(
@@ -102,8 +114,7 @@ def test_a_steered_parent_hands_on_what_was_in_force(tmp_path: Path) -> None:
     assert History(folder).acknowledged[0].sender == "a test"
 
 
-def test_the_nearest_checkpoint_before_is_taken_and_said(tmp_path: Path) -> None:
-    parent = trained(tmp_path)
+def test_the_nearest_checkpoint_before_is_taken_and_said(parent: History) -> None:
     origin = origin_at(parent, 5)
     assert (origin.checkpoint, origin.begins_at, origin.env_steps) == (4, 4, parent.progress[3].env_steps)
     assert origin.words == "at iteration 4 of parent, the nearest checkpoint up to iteration 5"
@@ -123,8 +134,8 @@ def test_a_branch_of_the_beginning_is_the_same_run_again(tmp_path: Path) -> None
     assert [p.phi for p in History(folder).progress] == [p.phi for p in parent.progress]
 
 
-def test_a_branch_saves_what_it_took_along_before_its_first_iteration(tmp_path: Path) -> None:
-    folder = branch(trained(tmp_path), 4, last=4)
+def test_a_branch_saves_what_it_took_along_before_its_first_iteration(parent: History) -> None:
+    folder = branch(parent, 4, last=4)
     Trainer(folder).run()
     child = History(folder)
     assert folder.checkpoint_iterations() == [4]
@@ -136,17 +147,16 @@ def test_a_branch_saves_what_it_took_along_before_its_first_iteration(tmp_path: 
         origin_at(child, 2)
 
 
-def test_another_seed_goes_on_with_other_random_numbers(tmp_path: Path) -> None:
-    parent = trained(tmp_path)
+def test_another_seed_goes_on_with_other_random_numbers(parent: History) -> None:
     same, other = beginning(branch(parent, 2))[0], beginning(branch(parent, 2, seed=1, name="other"))[0]
     assert equal(weights(same, "policy"), weights(other, "policy"))
     assert same.rng.bit_generator.state != other.rng.bit_generator.state
     assert other.rng.bit_generator.state == np.random.default_rng(1).bit_generator.state
 
 
-def test_policy_and_critic_of_another_size_start_afresh_with_their_schedule(tmp_path: Path) -> None:
+def test_policy_and_critic_of_another_size_start_afresh_with_their_schedule(parent: History) -> None:
     wider = small_method("morph", {"hidden": 24})
-    state, words = beginning(branch(trained(tmp_path), 4, wider), wider)
+    state, words = beginning(branch(parent, 4, wider), wider)
     assert (state.iteration, state.control_start, state.last_reached, state.fitted) == (4, 4, 4, False)
     assert "policy and critic start afresh" in words
     assert "the proxy is fitted anew" in words
@@ -154,8 +164,8 @@ def test_policy_and_critic_of_another_size_start_afresh_with_their_schedule(tmp_
     assert state.fitted
 
 
-def test_another_search_takes_the_policy_and_fits_the_proxy_anew(tmp_path: Path) -> None:
-    drift, parent = small_method("morph", {"search": "drift"}), trained(tmp_path)
+def test_another_search_takes_the_policy_and_fits_the_proxy_anew(parent: History) -> None:
+    drift = small_method("morph", {"search": "drift"})
     state, words = beginning(branch(parent, 4, drift), drift)
     before = beginning(branch(parent, 4, name="same"))[0]
     assert equal(weights(state, "policy"), weights(before, "policy"))
@@ -180,8 +190,8 @@ def test_another_design_thaws_phi_and_the_proxy_is_fitted_anew_where_phi_moved(
 
 
 @pytest.mark.parametrize(("name", "fits"), [("direct", True), ("value_gradient", False)])
-def test_another_method_counts_from_0_and_takes_the_weights_that_fit(tmp_path: Path, name: str, fits: bool) -> None:
-    method, parent = small_method(name), trained(tmp_path)
+def test_another_method_counts_from_0_and_takes_the_weights_that_fit(parent: History, name: str, fits: bool) -> None:
+    method = small_method(name)
     state, words = beginning(branch(parent, 4, method), method)
     before = beginning(branch(parent, 4, name="same"))[0]
     assert (state.iteration, state.env_steps, state.proxy) == (0, 0, None)
@@ -196,8 +206,7 @@ def test_another_method_counts_from_0_and_takes_the_weights_that_fit(tmp_path: P
 
 @pytest.mark.parametrize("file", ["state.json", "weights.safetensors"])
 @pytest.mark.parametrize("damage", ["cut", "gone", "foreign"])
-def test_a_damaged_checkpoint_is_refused_and_the_one_before_named(tmp_path: Path, file: str, damage: str) -> None:
-    parent = trained(tmp_path)
+def test_a_damaged_checkpoint_is_refused_and_the_one_before_named(parent: History, file: str, damage: str) -> None:
     path = parent.folder.checkpoint(4) / file
     if damage == "gone":
         path.unlink()
@@ -221,19 +230,19 @@ def test_a_weight_that_is_no_number_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("iteration", [-1, 7, 10**9])
-def test_an_iteration_that_is_not_there_is_refused_with_the_choice(tmp_path: Path, iteration: int) -> None:
+def test_an_iteration_that_is_not_there_is_refused_with_the_choice(parent: History, iteration: int) -> None:
     with pytest.raises(RunFolderError, match=f"parent has no iteration {iteration}; choose 0 to 6"):
-        origin_at(trained(tmp_path), iteration)
+        origin_at(parent, iteration)
 
 
-def test_a_branch_that_has_saved_nothing_names_its_parent(tmp_path: Path) -> None:
-    child = History(branch(trained(tmp_path), 4))
+def test_a_branch_that_has_saved_nothing_names_its_parent(parent: History) -> None:
+    child = History(branch(parent, 4))
     with pytest.raises(RunFolderError, match="child has saved nothing yet: branch from its parent, parent"):
         origin_at(child)
 
 
-def test_a_branch_whose_origin_is_lost_says_so(tmp_path: Path) -> None:
-    folder = branch(trained(tmp_path), 4)
+def test_a_branch_whose_origin_is_lost_says_so(parent: History) -> None:
+    folder = branch(parent, 4)
     shutil.rmtree(folder.path / "origin")
     with pytest.raises(RunFolderError, match="parent"):
         begin(folder, folder.record(), TASK, SMALL)
@@ -296,15 +305,14 @@ def test_a_replay_without_a_command_of_the_log_differs_from_there(tmp_path: Path
     assert found.difference.iteration == 3
 
 
-def test_a_branch_is_replayed_from_what_it_took_along(tmp_path: Path) -> None:
-    folder = branch(trained(tmp_path), 2)
+def test_a_branch_is_replayed_from_what_it_took_along(parent: History) -> None:
+    folder = branch(parent, 2)
     Trainer(folder).run()
     found, steps = outcome(History(folder))
     assert (found.difference, steps) == (None, [3, 4, 5, 6])
 
 
-def test_what_a_resume_voided_is_not_replayed(tmp_path: Path) -> None:
-    parent = trained(tmp_path)
+def test_what_a_resume_voided_is_not_replayed(parent: History) -> None:
     shutil.rmtree(parent.folder.checkpoint(6))
     parent.folder.send(SetAlpha(5.0))
     Trainer(parent.folder, until=8).run()

@@ -1,7 +1,7 @@
 """A real server and a real Chromium for the tests of this folder."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -56,3 +56,21 @@ def page() -> Iterator[Page]:
         page.add_init_script("if (location.protocol === 'http:') localStorage.setItem('morph-tour', 'seen')")
         yield page
         browser.close()
+
+
+@pytest.fixture
+def opened(page: Page) -> Iterator[Callable[[Path], None]]:
+    """Open a page from disk without a network; whatever it asks for or complains of fails the test."""
+    asked, complaints = [], []
+    page.context.set_offline(True)
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+
+    def open_page(path: Path) -> None:
+        page.goto(path.as_uri(), wait_until="domcontentloaded")
+        page.evaluate("show.ready.then(() => true)")
+
+    yield open_page
+    assert [url.split("?")[0][:8] for url in asked if not url.startswith("data:")] == ["file:///"]
+    assert complaints == []

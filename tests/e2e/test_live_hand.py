@@ -1,7 +1,7 @@
 """hand.html in a real browser without a network: it runs as Python runs, can be steered, and says what is missing."""
 
 import base64
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -36,24 +36,6 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, His
         made[task] = folder / "hand.html", history
         made[task][0].write_bytes(build_page(history, "best").content)
     return made
-
-
-@pytest.fixture
-def opened(page: Page) -> Iterator[Opened]:
-    """Open a page from disk without a network; whatever it asks for or complains of fails the test."""
-    asked, complaints = [], []
-    page.context.set_offline(True)
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-
-    def open_page(path: Path) -> None:
-        page.goto(path.as_uri(), wait_until="domcontentloaded")
-        page.evaluate("show.ready.then(() => true)")
-
-    yield open_page
-    assert [url.split("?")[0][:8] for url in asked if not url.startswith("data:")] == ["file:///"]
-    assert complaints == []
 
 
 def tries_in_python(history: History) -> tuple[list[dict[str, Any]], np.ndarray, np.ndarray]:

@@ -52,9 +52,9 @@ from studio.export.design_file import Design, Value
 from studio.new_run import StartRun, prepare_run
 from studio.runs import Runs
 from studio.settings import Settings
-from studio.viewer import Viewer
 from studio.viewer.take import Take
 from studio.viewer.view import Seen, View
+from studio.viewer.viewer import Viewer
 from studio.what_if import SweepPoint, WhatIf, WhatIfs, Wish, sweep_designs
 
 ROOT = Path(__file__).parents[2]

@@ -19,8 +19,8 @@ from morph_core.protocol import AnyCommand, Pause
 from studio.bridge import GuardedViser
 from studio.desks import KEPT, MOST, Desks, key_of
 from studio.export.bundle import Bundle
-from studio.viewer import Viewer
 from studio.viewer.view import View
+from studio.viewer.viewer import Viewer
 
 OTHER = "20260202-000000-reacher-morph-s1"
 CAMERA = {

@@ -414,43 +414,55 @@ def moved_item(by: str) -> Callable[[bytes], bytes]:
     return move
 
 
-BREAKS = [
-    ("plates/plate_1.3mf", moved_item("-20 90 20"), "plates/plate_1.3mf: inside the printer"),
-    ("plates/plate_1.3mf", moved_item("128 128 6"), "plates/plate_1.3mf: none over another"),
-    ("plates/plate_1.3mf", without_a_copy, "plates: each piece as often as needed"),
-    ("plates/pieces.csv", replaced("finger_1_distal", "finger_9_distal"), "plates: each piece as often as needed"),
-    ("plates/pieces.csv", lambda _: b"", "plates"),
-    ("3mf/finger_1_distal.3mf", moved_item("0 0 -50"), "3mf/finger_1_distal.3mf: lies on the bed"),
-    ("3mf/palm.3mf", in_inches, "3mf/palm.3mf: quantity, name and unit"),
-    ("3mf/finger_2_distal.3mf", without_a_copy, "3mf/finger_2_distal.3mf: quantity"),
-    ("3mf/palm.3mf", with_a_second_object, "3mf/palm.3mf: quantity"),
-    ("3mf/palm.3mf", lambda content: content[:400], "3mf/palm.3mf"),
-    ("parts/palm.stl", holed, "parts/palm.stl: watertight"),
-    ("parts/finger_1_distal.stl", larger, "parts/finger_1_distal.stl: mass"),
-    ("parts/finger_1_distal.stl", doubled, "one body"),
-    ("parts/finger_1_distal.stl", lambda _: b"", "parts/finger_1_distal.stl"),
-    ("hand.xml", replaced('range="-2.35 0.25"', 'range="-2.35 0.35"'), "hand.xml in MuJoCo: joint limits"),
-    ("hand.xml", replaced('size="0.015 ', 'size="0.016 '), "hand.xml in MuJoCo: collision extents"),
-    ("hand.urdf", replaced('xyz="0.0 0.0 -', 'xyz="0.0 0.00001 -'), "hand.urdf in MuJoCo"),
-    ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.016"'), "hand.urdf in MuJoCo: collision"),
-    ("scene.xml", replaced('timestep="0.01"', 'timestep="0.02"'), "scene.xml in MuJoCo: bodies"),
-    ("hand.mjz", lambda content: content[:-40], "hand.mjz"),
-    ("assembly.glb", lambda content: content[:400], "assembly.glb"),
-    ("policy.npz", lambda content: content[:200], "policy"),
-    ("policy.onnx", lambda content: content[:-40], "policy.onnx: actions"),
-    ("policy.py", lambda content: content + b"#", "policy.py: the program"),
-    ("design.json", replaced('"value": 0.1,', '"value": 0.2,'), "positions"),
-    ("README.txt", lambda content: content + b"!", "provenance.json: digests"),
-]  # fmt: skip
+BREAKS = {
+    "one of each": [
+        ("plates/plate_1.3mf", moved_item("-20 90 20"), "plates/plate_1.3mf: inside the printer"),
+        ("3mf/finger_1_distal.3mf", moved_item("0 0 -50"), "3mf/finger_1_distal.3mf: lies on the bed"),
+        ("3mf/palm.3mf", in_inches, "3mf/palm.3mf: quantity, name and unit"),
+        ("3mf/finger_2_distal.3mf", without_a_copy, "3mf/finger_2_distal.3mf: quantity"),
+        ("parts/palm.stl", holed, "parts/palm.stl: watertight"),
+        ("parts/finger_1_distal.stl", larger, "parts/finger_1_distal.stl: mass"),
+        ("hand.xml", replaced('range="-2.35 0.25"', 'range="-2.35 0.35"'), "hand.xml in MuJoCo: joint limits"),
+        ("hand.urdf", replaced('xyz="0.0 0.0 -', 'xyz="0.0 0.00001 -'), "hand.urdf in MuJoCo"),
+        ("scene.xml", replaced('timestep="0.01"', 'timestep="0.02"'), "scene.xml in MuJoCo: bodies"),
+        ("assembly.glb", lambda content: content[:400], "assembly.glb"),
+        ("policy.onnx", lambda content: content[:-40], "policy.onnx: actions"),
+        ("README.txt", lambda content: content + b"!", "provenance.json: digests"),
+    ],
+    "another of some": [
+        ("plates/plate_1.3mf", moved_item("128 128 6"), "plates/plate_1.3mf: none over another"),
+        ("3mf/palm.3mf", with_a_second_object, "3mf/palm.3mf: quantity"),
+        ("parts/finger_1_distal.stl", doubled, "one body"),
+        ("hand.xml", replaced('size="0.015 ', 'size="0.016 '), "hand.xml in MuJoCo: collision extents"),
+        ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.016"'), "MuJoCo: collision extents"),
+        ("policy.py", lambda content: content + b"#", "policy.py: the program"),
+    ],
+    "a plate with too little": [
+        ("plates/plate_1.3mf", without_a_copy, "plates: each piece as often as needed"),
+        ("parts/finger_1_distal.stl", lambda _: b"", "parts/finger_1_distal.stl"),
+    ],
+    "another piece": [
+        ("plates/pieces.csv", replaced("finger_1_distal", "finger_9_distal"), "plates: each piece as often as needed"),
+    ],
+    "no pieces": [("plates/pieces.csv", lambda _: b"", "plates")],
+    "another design": [("design.json", replaced('"value": 0.1,', '"value": 0.2,'), "positions")],
+    "archives cut short": [  # they are refused before anything is read
+        ("3mf/palm.3mf", lambda content: content[:400], "3mf/palm.3mf"),
+        ("hand.mjz", lambda content: content[:-40], "hand.mjz"),
+        ("policy.npz", lambda content: content[:200], "policy"),
+    ],
+}  # fmt: skip
+"""Files, how they are broken, and the findings; those of one round aren't compared with one another."""
 
 
-@pytest.mark.parametrize(("path", "spoil", "finding"), BREAKS, ids=[f"{b[0]}-{i}" for i, b in enumerate(BREAKS)])
-def test_a_file_broken_on_purpose_is_found_out(
-    bundle: Bundle, path: str, spoil: Callable[[bytes], bytes], finding: str
+@pytest.mark.parametrize("breaks", BREAKS.values(), ids=BREAKS)
+def test_files_broken_on_purpose_are_found_out(
+    bundle: Bundle, breaks: list[tuple[str, Callable[[bytes], bytes], str]]
 ) -> None:
-    files = {**bundle.files, path: spoil(bundle.files[path])}
+    files = {**bundle.files, **{path: spoil(bundle.files[path]) for path, spoil, _ in breaks}}
     faults = [check.name for check in prove(files, episodes=1) if not check.passed]
-    assert any(finding in fault for fault in faults), faults
+    for path, _, finding in breaks:
+        assert any(finding in fault for fault in faults), (path, faults)
     assert "provenance.json: digests" in faults
 
 

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from morph_core.protocol import Status
+from studio.lines import Summary
 from studio.news import Change, News
-from studio.runs import Summary
 from studio.settings import Settings
 
 KEY = "a-key-of-a-browser"

@@ -16,8 +16,9 @@ from morph_core.catalogue import make_method, make_task
 from morph_core.config import flattened
 from morph_core.protocol import InjectDesign, Lock, Parameter, Pause, SetAlpha, SetBound, StateChanged, Stop
 from morph_core.run_folder import EventLog, RunFolder, RunFolderError
+from studio.histories import KEPT
 from studio.new_run import StartRun, git_state, prepare_run
-from studio.runs import KEPT, Runs
+from studio.runs import Runs
 from studio.trainers import spawn_trainer
 
 REACHER = make_task("reacher")
@@ -25,9 +26,10 @@ SPACE = REACHER.design_space
 
 
 def begun(runs: Runs, **wishes: Any) -> str:
-    """Start a stand-in and wait until it runs."""
+    """Start a stand-in and wait until it runs and its heart beats."""
     run_id = runs.start(StartRun(task="reacher", **wishes))
     assert eventually(lambda: runs.status(runs.get(run_id))[0] == "running"), runs.status(runs.get(run_id))
+    assert eventually(lambda: runs.get(run_id).heartbeat is not None)
     return run_id
 
 
@@ -206,7 +208,7 @@ def test_a_trainer_refused_by_the_lock_says_nothing_about_the_run(runs_folder: P
     runs = Runs(runs_folder, stand_in)
     run_id = begun(runs)
     other = Runs(runs_folder, stand_in)
-    other._launch(RunFolder(runs_folder / run_id))  # as a second server would, a moment before the first beat
+    other._crew.launch(RunFolder(runs_folder / run_id))  # as a second server would, a moment before the first beat
     assert eventually(lambda: run_id not in other._inquest.children or not other.get(run_id))
     assert eventually(lambda: other.summary(run_id).status == "running")
     assert other.summary(run_id).reason == ""

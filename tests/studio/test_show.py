@@ -152,7 +152,7 @@ def test_everything_that_is_carried_has_its_licence(trained: str) -> None:
     assert set(shipped) == {"@mujoco/mujoco", "three"}
     for name, package in shipped.items():
         assert f"==== {name} {package['version']}, {package['license']} ====" in licences
-    for words in ("Apache License", "The MIT License", "Qhull", "LodePNG"):
+    for words in ("Apache License", "The MIT License", "Qhull", "LodePNG", "==== fflate 0.8.3, MIT ===="):
         assert words in licences
     assert carried(trained, "licences-packed").decode() == licences
 

@@ -498,10 +498,10 @@ def test_earlier_designs_stand_beside_the_shown_one_once_they_are_wanted(page: P
     written(folder, *(progress(i, phi=[3 - 0.1 * i] * 5) for i in range(1, 5)))
     page.viewer.looks.trail.value = True
     page.show(folder)
-    assert eventually(lambda: any(name.startswith("/trail/") for name in page.viewer.player.node_names))
     layer = page.viewer.player._beside["trail"]
-    figure = layer._figure
-    assert isinstance(figure, Figure)
-    assert len(figure) == 3 * len(page.take().robot)  # those before the latest
+    assert eventually(lambda: isinstance(layer._figure, Figure))
+    assert any(name.startswith("/trail/") for name in page.viewer.player.node_names)
+    assert isinstance(layer._figure, Figure)
+    assert len(layer._figure) == 3 * len(page.take().robot)  # those before the latest
     page.viewer.looks.trail.value = False
     assert eventually(lambda: layer._figure is None)

@@ -123,12 +123,12 @@ def test_a_run_that_can_not_be_started_now_waits_on(runs_folder: Path, monkeypat
     runs = Runs(runs_folder, stand_in, trainers=1)
     runs.start(WISH)
     second = runs.start(WISH)
-    monkeypatch.setattr(runs, "_trainers", 2)
+    monkeypatch.setattr(runs._crew, "_trainers", 2)
 
     def no_room(folder: RunFolder, **_: object) -> subprocess.Popen[bytes]:
         raise BlockingIOError(11, f"no process for {folder.id}")
 
-    monkeypatch.setattr(runs, "_spawn", no_room)
+    monkeypatch.setattr(runs._crew, "_spawn", no_room)
     with pytest.raises(BlockingIOError):
         runs.tend()
     assert Waiting(runs_folder).place(second) == 1

@@ -5,20 +5,7 @@ const SPEEDS = [1, 0.5, 0.25, 0.1];
 const MOST_BEHIND = 0.25; // s: a page that was hidden does not catch up
 const REPORT_EVERY = 0.2; // s between two changes of what is written
 
-const $ = (id) => document.getElementById(id);
 const missing = { webgl: "This browser has no WebGL, so that nothing moves here.", wasm: "This browser has no WebAssembly, so that MuJoCo can't run here." };
-
-async function unpacked(id) {
-  const packed = new Blob([bytes($(id).textContent)]).stream().pipeThrough(new DecompressionStream("gzip"));
-  return new Uint8Array(await new Response(packed).arrayBuffer());
-}
-
-const unpackedText = async (id) => new TextDecoder().decode(await unpacked(id));
-
-function say(sentence) {
-  $("note").textContent = sentence;
-  $("note").hidden = !sentence;
-}
 
 /** Say why nothing runs; the picture and the numbers stay. */
 function giveUp(sentence) {
@@ -48,7 +35,7 @@ class Show {
   constructor(mujoco, hands, graphics) {
     Object.assign(this, { mujoco, rule: hands.rule, designs: hands.designs, shaping: hands.shaping, speed: 1, behind: 0 });
     this.running = !matchMedia("(prefers-reduced-motion: reduce)").matches;
-    this.stage = new Stage($("stage"), graphics);
+    this.stage = new Stage($("stage"), graphics, FRAMING);
     this.shown = [this.seat(this.designs[0], 0)];
     this.arrange();
     this.tryAnew();
@@ -258,15 +245,6 @@ function connectSliders(show) {
     show.exchange(show.designs[0]);
     $("phi-note").textContent = "";
     $("unshape").hidden = true;
-  });
-}
-
-function connectPage() {
-  const root = document.documentElement, dark = matchMedia("(prefers-color-scheme: dark)");
-  root.dataset.theme = dark.matches ? "dark" : "light";
-  $("theme").addEventListener("click", () => { root.dataset.theme = root.dataset.theme === "dark" ? "light" : "dark"; });
-  $("licences").addEventListener("toggle", async () => {
-    if ($("licences").open) $("licence-text").textContent ||= await unpackedText("licences-packed");
   });
 }
 

@@ -2,12 +2,6 @@
 
 const floats = (text) => new Float32Array(bytes(text).buffer);
 
-function bytes(text) {
-  const raw = atob(text), out = new Uint8Array(raw.length);
-  for (let i = 0; i < raw.length; i++) out[i] = raw.charCodeAt(i);
-  return out;
-}
-
 class Policy {
   constructor(layers) {
     this.layers = layers.map(({ weight, bias }) => ({ weight: floats(weight), bias: floats(bias) }));

@@ -1,128 +1,37 @@
-// What is seen: MuJoCo's geoms as three.js draws them, a view beside the other for each world, one camera for all.
+// What is seen: a view beside the other, one camera for all. A view has a scene, its shapes, and update().
 
-const GEOM = { plane: 0, sphere: 2, capsule: 3, cylinder: 5, box: 6, mesh: 7 }; // mjtGeom
-const COLLISION_GROUP = 3; // shapes that stand behind the printed parts
-const SIGHT = [0.55, -1.25, 0.62], LOOK_AT = [0, 0, 0.26], RADIUS = 0.62; // m: what is framed
+const ASPECT = 1.2; // of a view that is to be neither wide nor high
+const AIR = 1.12; // of what is framed, how much larger the picture is
 const SLOW_FRAME = 24; // ms: with frames that are slower on average the picture becomes simpler
 const QUALITIES = [[2, true], [1.25, true], [1, false], [0.7, false], [0.5, false]]; // most pixels for one of CSS; shadows
-const LIT = { button: 0xff5a1f, contact: 0xffb000 };
 
-function geometryOf(model, geom) {
-  const type = model.geom_type[geom], [a, b, c] = model.geom_size.slice(3 * geom, 3 * geom + 3);
-  const upright = (shape) => shape.rotateX(Math.PI / 2); // three.js has them along y, MuJoCo along z
-  switch (type) {
-    case GEOM.plane: return new THREE.BoxGeometry(2 * a, 2 * b, 0.02).translate(0, 0, -0.01);
-    case GEOM.sphere: return new THREE.SphereGeometry(a, 24, 16);
-    case GEOM.capsule: return upright(new THREE.CapsuleGeometry(a, 2 * b, 8, 20));
-    case GEOM.cylinder: return upright(new THREE.CylinderGeometry(a, a, 2 * b, 40));
-    case GEOM.box: return new THREE.BoxGeometry(2 * a, 2 * b, 2 * c);
-    case GEOM.mesh: return meshOf(model, model.geom_dataid[geom]);
-    default: return new THREE.SphereGeometry(1, 24, 16).scale(a, b, c);
-  }
+/** Frame a ball: seen along `sight`, with its centre in the middle. Lengths are in m. */
+function aroundBall(sight, target, radius) {
+  return { sight, target, distance: (half, aspect) => radius / Math.sin(half) / Math.min(1, aspect * 1.05) };
 }
 
-function meshOf(model, mesh) {
-  const geometry = new THREE.BufferGeometry();
-  const corners = model.mesh_vertadr[mesh] * 3, faces = model.mesh_faceadr[mesh] * 3;
-  const vertices = model.mesh_vert.slice(corners, corners + 3 * model.mesh_vertnum[mesh]);
-  const index = model.mesh_face.slice(faces, faces + 3 * model.mesh_facenum[mesh]);
-  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(vertices), 3));
-  geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(index), 1));
-  return THREE.toCreasedNormals(geometry, 0.6);
+/** Frame a box between two corners, seen along `sight`: as near as its corners allow. */
+function aroundBox(sight, low, high) {
+  const way = new THREE.Vector3(...sight).normalize(), middle = low.map((x, i) => (x + high[i]) / 2);
+  const right = new THREE.Vector3(0, 0, 1).cross(way).normalize(), up = way.clone().cross(right);
+  const corners = Array.from({ length: 8 }, (_, i) => new THREE.Vector3(...low.map((x, k) => ((i >> k) & 1 ? high[k] : x) - middle[k])));
+  const distance = (half, aspect) => Math.max(...corners.map((corner) => {
+    const across = Math.abs(corner.dot(right)) / aspect, upward = Math.abs(corner.dot(up));
+    return corner.dot(way) + (AIR * Math.max(across, upward)) / Math.tan(half);
+  }));
+  return { sight, target: middle, distance };
 }
 
-/** One world as it is drawn. */
-class View {
-  constructor(world) {
-    this.scene = new THREE.Scene();
-    this.world = world;
-    this.scene.add(new THREE.HemisphereLight(0xffffff, 0xb8b2a8, 1.9), this.lamp());
-    this.dots = Array.from({ length: 2 * world.rule.fingers }, () => this.dot());
-    this.arrow = new THREE.ArrowHelper(new THREE.Vector3(1, 0, 0), new THREE.Vector3(), 0.1, LIT.button, 0.03, 0.02);
-    this.arrow.visible = false;
-    this.scene.add(this.arrow);
-    this.robot = new THREE.Group();
-    this.scene.add(this.robot);
-    this.build();
-  }
-
-  lamp() {
-    const lamp = new THREE.DirectionalLight(0xffffff, 2.0);
-    lamp.position.set(-0.7, -0.9, 1.8);
-    lamp.castShadow = true;
-    lamp.shadow.mapSize.set(1024, 1024);
-    Object.assign(lamp.shadow.camera, { left: -0.7, right: 0.7, top: 0.7, bottom: -0.7, near: 0.5, far: 3.5 });
-    lamp.shadow.normalBias = 0.004;
-    lamp.shadow.radius = 4;
-    return lamp;
-  }
-
-  dot() {
-    const shape = (radius, opacity) => new THREE.Mesh(
-      new THREE.SphereGeometry(radius, 16, 12),
-      new THREE.MeshBasicMaterial({ color: LIT.contact, transparent: true, opacity, depthTest: false }),
-    );
-    const dot = shape(0.008, 1);
-    dot.add(shape(0.02, 0.28));
-    dot.visible = false;
-    dot.renderOrder = 2;
-    this.scene.add(dot);
-    return dot;
-  }
-
-  /** Make the shapes anew, of the world's model as it is now. */
-  build() {
-    const { model, button } = this.world, shared = new Map();
-    this.robot.traverse((node) => node.geometry?.dispose());
-    this.robot.clear();
-    this.shapes = [];
-    for (let geom = 0; geom < model.ngeom; geom++) {
-      if (model.geom_group[geom] === COLLISION_GROUP) continue;
-      const mesh = model.geom_type[geom] === GEOM.mesh ? model.geom_dataid[geom] : `geom ${geom}`;
-      if (!shared.has(mesh)) shared.set(mesh, geometryOf(model, geom));
-      const [r, g, b, opacity] = model.geom_rgba.slice(4 * geom, 4 * geom + 4), body = model.geom_bodyid[geom];
-      const scenery = body === 0, ghost = scenery && model.geom_type[geom] !== GEOM.plane;
-      const material = new THREE.MeshLambertMaterial({
-        color: new THREE.Color().setRGB(r, g, b, "srgb"), transparent: ghost || opacity < 1, opacity: ghost ? 0.55 : opacity,
-      });
-      const shape = new THREE.Mesh(shared.get(mesh), material);
-      shape.matrixAutoUpdate = false;
-      shape.castShadow = !scenery;
-      shape.receiveShadow = !ghost;
-      shape.userData = { geom, body, isButton: body === button };
-      this.robot.add(shape);
-      this.shapes.push(shape);
-    }
-  }
-
-  /** Put everything where the simulation has it. */
-  update() {
-    const { data, now } = this.world, { geom_xpos: p, geom_xmat: m } = data;
-    for (const shape of this.shapes) {
-      const i = 3 * shape.userData.geom, k = 9 * shape.userData.geom;
-      shape.matrix.set(
-        m[k], m[k + 1], m[k + 2], p[i], m[k + 3], m[k + 4], m[k + 5], p[i + 1], m[k + 6], m[k + 7], m[k + 8], p[i + 2],
-        0, 0, 0, 1,
-      );
-      shape.matrixWorldNeedsUpdate = true;
-      if (shape.userData.isButton) shape.material.emissive.setHex(now.pressed ? LIT.button : 0x000000);
-    }
-    this.dots.forEach((dot, i) => {
-      const contact = now.contacts[i];
-      dot.visible = Boolean(contact);
-      if (contact) dot.position.set(...contact.point);
-    });
-  }
-
-  /** Draw the force that somebody applies: from where it acts towards `to`, or nothing. */
-  point(from, to) {
-    this.arrow.visible = Boolean(from);
-    if (!from) return;
-    const way = new THREE.Vector3(...to).sub(new THREE.Vector3(...from)), length = Math.max(way.length(), 0.02);
-    this.arrow.position.set(...from);
-    this.arrow.setDirection(way.normalize());
-    this.arrow.setLength(length, Math.min(0.03, length / 2), 0.018);
-  }
+/** Return the lights of a scene that reaches so far, in m. */
+function lights(reach) {
+  const lamp = new THREE.DirectionalLight(0xffffff, 2.0);
+  lamp.position.set(-reach, -1.3 * reach, 2.6 * reach);
+  lamp.castShadow = true;
+  lamp.shadow.mapSize.set(1024, 1024);
+  Object.assign(lamp.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.7 * reach, far: 5 * reach });
+  lamp.shadow.normalBias = 0.006 * reach;
+  lamp.shadow.radius = 4;
+  return [new THREE.HemisphereLight(0xffffff, 0xb8b2a8, 1.9), lamp];
 }
 
 /** Return whether there is WebGL, and whether a processor has to draw. */
@@ -136,17 +45,20 @@ function graphics() {
 }
 
 class Stage {
-  constructor(canvas, { slow }) {
+  /** `framing` tells from where everything is seen: which way, at what, and from how far. */
+  constructor(canvas, { slow }, framing) {
     this.canvas = canvas;
+    this.framing = framing;
     this.quality = slow ? QUALITIES.length - 2 : 0;
     this.renderer = new THREE.WebGLRenderer({ canvas, alpha: false, antialias: !slow, powerPreference: "high-performance" });
     this.renderer.shadowMap.enabled = QUALITIES[this.quality][1];
-    this.camera = new THREE.PerspectiveCamera(32, 1, 0.05, 20);
+    this.camera = new THREE.PerspectiveCamera(32, 1);
     this.camera.up.set(0, 0, 1);
     this.orbit = new THREE.OrbitControls(this.camera, canvas);
-    Object.assign(this.orbit, { minDistance: 0.4, maxDistance: 6, maxPolarAngle: 1.52, enablePan: false });
+    Object.assign(this.orbit, { maxPolarAngle: 1.52, enablePan: false });
     this.views = [];
     this.frames = [];
+    this.fine = false;
     this.paint();
     this.home();
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
@@ -160,10 +72,11 @@ class Stage {
   }
 
   home() {
-    const { aspect } = this.rectangle(0), half = (this.camera.fov * Math.PI) / 360;
-    const distance = RADIUS / Math.sin(half) / Math.min(1, aspect * 1.05);
-    const sight = new THREE.Vector3(...SIGHT).normalize().multiplyScalar(distance);
-    this.orbit.target.set(...LOOK_AT);
+    const { sight: way, target, distance } = this.framing, half = (this.camera.fov * Math.PI) / 360;
+    const away = distance(half, this.rectangle(0).aspect), sight = new THREE.Vector3(...way).normalize().multiplyScalar(away);
+    this.orbit.target.set(...target);
+    Object.assign(this.orbit, { minDistance: 0.18 * away, maxDistance: 2.7 * away });
+    Object.assign(this.camera, { near: 0.02 * away, far: 9 * away });
     this.camera.position.copy(sight.add(this.orbit.target));
     this.orbit.update();
   }
@@ -173,20 +86,23 @@ class Stage {
     this.renderer.setClearColor(getComputedStyle(this.canvas.parentElement).backgroundColor);
   }
 
-  get stacked() {
-    return this.canvas.clientWidth < 1.2 * this.canvas.clientHeight;
+  /** Return how many views stand beside each other: so many that each is about as wide as it is high. */
+  get columns() {
+    const { clientWidth: width, clientHeight: height } = this.canvas, n = Math.max(this.views.length, 1);
+    const unlike = (columns) => Math.abs(Math.log((width / columns / (height / Math.ceil(n / columns) || 1)) / ASPECT));
+    return Array.from({ length: n }, (_, i) => i + 1).reduce((best, columns) => (unlike(columns) < unlike(best) ? columns : best));
   }
 
   /** Return where view `i` is on the canvas: left, top, width, height in pixels of CSS. */
   rectangle(i) {
-    const { clientWidth: width, clientHeight: height } = this.canvas, n = Math.max(this.views.length, 1);
-    const w = this.stacked ? width : width / n, h = this.stacked ? height / n : height;
-    return { left: this.stacked ? 0 : i * w, top: this.stacked ? i * h : 0, width: w, height: h, aspect: w / Math.max(h, 1) };
+    const { clientWidth, clientHeight } = this.canvas, { columns } = this;
+    const width = clientWidth / columns, height = clientHeight / Math.ceil(Math.max(this.views.length, 1) / columns);
+    return { left: (i % columns) * width, top: Math.floor(i / columns) * height, width, height, aspect: width / Math.max(height, 1) };
   }
 
   resize() {
-    const { clientWidth, clientHeight } = this.canvas.parentElement, [most, shadows] = QUALITIES[this.quality];
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, most));
+    const { clientWidth, clientHeight } = this.canvas.parentElement, [most, shadows] = QUALITIES[this.fine ? 0 : this.quality];
+    this.renderer.setPixelRatio(this.fine ? most : Math.min(devicePixelRatio, most));
     this.renderer.setSize(clientWidth, clientHeight, false);
     if (this.renderer.shadowMap.enabled !== shadows) {
       this.renderer.shadowMap.enabled = shadows;
@@ -194,8 +110,13 @@ class Stage {
     }
   }
 
-  draw() {
+  /** Draw every view; `finely` where nothing moves, so that there is time for all pixels. */
+  draw({ finely = false } = {}) {
     const { renderer, camera } = this, height = this.canvas.clientHeight;
+    if (finely !== this.fine) {
+      this.fine = finely;
+      this.resize();
+    }
     renderer.setScissorTest(this.views.length > 1);
     this.views.forEach((view, i) => {
       const { left, top, width, height: h, aspect } = this.rectangle(i);

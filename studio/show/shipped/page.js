@@ -1,0 +1,33 @@
+// What every page of ours needs: what it carries unpacked, light and dark, and the licences.
+
+const $ = (id) => document.getElementById(id);
+
+function bytes(text) {
+  const raw = atob(text), out = new Uint8Array(raw.length);
+  for (let i = 0; i < raw.length; i++) out[i] = raw.charCodeAt(i);
+  return out;
+}
+
+/** Return the bytes that the page carries under a name; a browser that can't unpack them itself takes longer. */
+async function unpacked(id) {
+  const packed = bytes($(id).textContent.trim());
+  if (typeof DecompressionStream !== "function") return THREE.gunzipSync(packed);
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+const unpackedText = async (id) => new TextDecoder().decode(await unpacked(id));
+
+function say(sentence) {
+  $("note").textContent = sentence;
+  $("note").hidden = !sentence;
+}
+
+function connectPage() {
+  const root = document.documentElement, dark = matchMedia("(prefers-color-scheme: dark)");
+  root.dataset.theme = dark.matches ? "dark" : "light";
+  $("theme").addEventListener("click", () => { root.dataset.theme = root.dataset.theme === "dark" ? "light" : "dark"; });
+  $("licences").addEventListener("toggle", async () => {
+    if ($("licences").open) $("licence-text").textContent ||= await unpackedText("licences-packed");
+  });
+}
