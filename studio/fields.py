@@ -6,6 +6,7 @@ import functools
 import inspect
 import itertools
 import textwrap
+import threading
 import typing
 from collections.abc import Iterator
 
@@ -95,6 +96,10 @@ def told(field: Field) -> str:
     return f"{field.doc} Allowed: {field.range}." if field.range else field.doc
 
 
+_parsing = threading.Lock()
+"""Lock of the parser: Python 3.11's counts the depth of all threads together, and fails where two of them parse."""
+
+
 @functools.cache
 def docs_of(kind: type) -> dict[str, str]:
     """Return the string that follows each annotated field in the source, inherited ones too; Python keeps none."""
@@ -107,7 +112,8 @@ def docs_of(kind: type) -> dict[str, str]:
 
 def _docs_in_source(kind: type) -> dict[str, str]:
     try:
-        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+        with _parsing:
+            (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     except (OSError, TypeError, SyntaxError):
         return {}
     docs = {}
