@@ -117,3 +117,12 @@ _.intra_op_num_threads
 # Tests go by these: how the lines that load a file are run, and from which length on all joints have their room.
 _.language
 _.roomy
+
+# Jupyter asks for the first two; notebooks call the rest.
+_._repr_html_
+_._repr_svg_
+_.export
+_.open_study
+_.plot
+_.train
+_.view

@@ -3,12 +3,13 @@
 import dataclasses
 import difflib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
+from morph_core.hypertext import table
 from morph_core.protocol import Parameter
 
 
@@ -114,10 +115,27 @@ class DesignSpace:
         """Return the space with a parameter free to move. Raise ValueError if there is none of that name."""
         return self._replace(name, locked_at=None)
 
+    def table(self, designs: Mapping[str, np.ndarray], caption: str = "") -> str:
+        """Return designs (d,) by their names as an HTML table: a row for each parameter, with its unit and bounds."""
+        locks = not self.free.all()
+        rows = [
+            [p.name, p.unit, *(f"{value:.4g}" for value in (p.lo, p.hi, *(phi[i] for phi in designs.values())))]
+            + [_lock(p)] * locks
+            for i, p in enumerate(self.parameters)
+        ]
+        return table(["parameter", "unit", "from", "to", *designs, *["locked at"] * locks], rows, caption)
+
+    def _repr_html_(self) -> str:
+        return self.table({"initial": self.initial})
+
     def _replace(self, name: str, **changes: float | None) -> "DesignSpace":
         i = self.index(name)
         changed = msgspec.structs.replace(self.parameters[i], **changes)
         return dataclasses.replace(self, parameters=(*self.parameters[:i], changed, *self.parameters[i + 1 :]))
+
+
+def _lock(p: Parameter) -> str:
+    return "" if p.locked_at is None else f"{p.locked_at:.4g}"
 
 
 def _check_bound(p: Parameter, lo: float, hi: float) -> None:

@@ -11,7 +11,9 @@ import msgspec
 import numpy as np
 
 from morph_core.config import Projection
+from morph_core.curves import Curves, draw_run
 from morph_core.design import DesignSpace
+from morph_core.hypertext import table
 from morph_core.protocol import (
     Acknowledged,
     AnyEvent,
@@ -268,6 +270,40 @@ class History:
                 return progress.iteration, np.array(progress.phi)
         allowed = f"choose best, latest or {self.begins_at} to {self.iteration}"
         raise RunFolderError(f"{self.folder.id} has no iteration {which}; {allowed}")
+
+    # --- in a notebook ------------------------------------------------------------------------------------------------
+
+    def plot(self) -> Curves:
+        """Return the curves of the run: success, return, cosine, divergence and phi over environment steps.
+
+        Raise ImportError that names the extra where matplotlib is missing.
+        """
+        title = f"{self.folder.id}: {self.record.task}, {self.record.method}"
+        return draw_run(title, self.progress, self.evaluations, self.record.parameters)
+
+    def _repr_html_(self) -> str:
+        """Return what the run has come to as HTML tables; `poll` takes in what has happened since."""
+        planned = self.planned_iterations
+        rows = [
+            ("task", self.record.task),
+            ("method", f"{self.record.method}, seed {self.record.seed}"),
+            ("state", f"{self.status}: {self.message}" if self.message else self.status),
+            ("iterations", f"{self.iteration} of {planned}" if planned else str(self.iteration)),
+            ("environment steps", f"{self.progress[-1].env_steps if self.progress else 0:,}"),
+            ("CPU time", f"{self.cpu_seconds:.0f} s"),
+            ("best evaluation", _in_words(self.best)),
+        ]
+        designs = {"initial": self.initial_phi, "best": self.design("best")[1], "latest": self.phi}
+        return table((), rows, f"Run {self.folder.id}") + self.design_space.table(designs, "Its designs")
+
+
+def _in_words(best: Evaluation | None) -> str:
+    if best is None:
+        return "none yet"
+    return (
+        f"iteration {best.iteration}: success {best.sampled_success:.0%} sampled, {best.deterministic_success:.0%} "
+        "mean action"
+    )
 
 
 def merit(evaluation: Evaluation) -> tuple[float, float]:

@@ -54,7 +54,8 @@ class Camera:
         length = np.linalg.norm(right)
         right = right / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
         axes = np.stack([right, np.cross(towards, right), towards])
-        low, high = (points @ axes.T).min(0), (points @ axes.T).max(0)
+        seen = np.einsum("ji,ni->jn", axes, points)  # BLAS waits for its threads on a busy machine
+        low, high = seen.min(1), seen.max(1)
         scale = _FILLED * min(width / max(high[0] - low[0], 1e-9), height / max(high[1] - low[1], 1e-9))
         return cls(axes, (low + high) / 2, float(scale), width, height)
 
@@ -73,7 +74,7 @@ def draw(surfaces: Sequence[Surface], camera: Camera, light: Light = BESIDE_THE_
     scale = camera.scale * _OVERSAMPLING
     corners = (triangles - camera.centre) * [scale, -scale, 1.0] + [width / 2, height / 2, 0.0]
     shaded = colours * light.on(normals)[:, None]
-    which, at, depth = _covered(corners, width, height)
+    which, at, depth = covered(corners, width, height)
     nearest = np.full(height * width, -np.inf)
     np.maximum.at(nearest, at, depth)
     front = depth == nearest[at]
@@ -92,17 +93,17 @@ def _averaged(canvas: np.ndarray) -> np.ndarray:
     return np.round(255 * total).astype(np.uint8)
 
 
-def _covered(corners: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def covered(corners: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the pixels whose middles triangles (F, 3, 3) cover: (n,) each, which triangle, which pixel, how near."""
-    x, y, _ = np.moveaxis(corners, 2, 0)  # (F, 3)
-    top, rows = _between(y.min(1), y.max(1), height)
+    x, y, _ = np.ascontiguousarray(np.moveaxis(corners, (2, 1), (0, 1)))  # (3, F) each: limits of rows are fast
+    top, rows = _between(y.min(0), y.max(0), height)
     which, row = _counted(rows)
     row += top[which]
-    run, rise = (np.roll(c, -1, 1) - c for c in (x, y))
+    run, rise = (np.roll(c, -1, 0) - c for c in (x, y))
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = (row[:, None] + 0.5 - y[which]) / rise[which]  # of each edge, down to the row
-        crossing = np.where((share >= 0) & (share <= 1), x[which] + share * run[which], np.nan)
-    left, columns = _between(np.fmin.reduce(crossing, axis=1), np.fmax.reduce(crossing, axis=1), width)
+        share = (row + 0.5 - y[:, which]) / rise[:, which]  # of each edge, down to the row
+        crossing = np.where((share >= 0) & (share <= 1), x[:, which] + share * run[:, which], np.nan)
+    left, columns = _between(np.fmin.reduce(crossing), np.fmax.reduce(crossing), width)
     line, column = _counted(columns)
     which, row, column = which[line], row[line], column + left[line]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -9,6 +9,7 @@ from typing import Annotated, Literal, get_args
 import msgspec
 
 from morph_core.config import LARGEST, Projection
+from morph_core.hypertext import table
 
 Whole = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
 """A number of something: browsers hold no larger ones, and nothing is counted below zero."""
@@ -203,6 +204,26 @@ class Progress(Event, tag="progress", frozen=True):
     cpu_seconds: float = 0.0
     """CPU time of the trainer since its first iteration, all resumes summed."""
 
+    def _repr_html_(self) -> str:
+        """Return the iteration as an HTML table, without what was not measured in it."""
+        measured = [
+            ("environment steps", f"{self.env_steps:,}"),
+            ("success in training", f"{self.success:.0%} of episodes"),
+            ("return in training", f"{self.episode_return:.4g}"),
+            ("divergence D", _known(self.divergence)),
+            ("search cost", _known(self.search_cost)),
+            ("cosine of g_task, g_hw", _known(self.cosine)),
+            ("α", _known(self.alpha)),
+            ("projection", self.projection or ""),
+            ("φ", ", ".join(f"{value:.4g}" for value in self.phi)),
+            ("CPU time", f"{self.cpu_seconds:.0f} s"),
+        ]
+        return table((), ((name, value) for name, value in measured if value), f"Iteration {self.iteration}")
+
+
+def _known(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"
+
 
 Which = Literal["median", "best", "worst", "failed"]
 """Episodes of an evaluation that are recorded, by their return; of the failed ones, the one in the middle."""
@@ -243,6 +264,16 @@ class Evaluation(Event, tag="evaluation", frozen=True):
     """Number of episodes of each kind, sampled and deterministic; None in a run that did not write it down."""
     final: bool = False
     """Whether this is the evaluation at the end of the run, over its `final_episodes`."""
+
+    def _repr_html_(self) -> str:
+        """Return the evaluation as an HTML table: the policy as it explores, and by its mean action."""
+        rows = [
+            ("success [% of episodes]", f"{100 * self.sampled_success:.3g}", f"{100 * self.deterministic_success:.3g}"),
+            ("return [reward]", f"{self.sampled_return:.4g}", f"{self.deterministic_return:.4g}"),
+            *((f"{name} [% of episodes]", f"{100 * share:.3g}", "") for name, share in self.milestones.items()),
+        ]
+        number = "" if self.episodes is None else f", {self.episodes} episodes of each kind"
+        return table(["policy", "sampled", "mean action"], rows, f"Evaluation after iteration {self.iteration}{number}")
 
 
 class Acknowledged(Event, tag="command", frozen=True):

@@ -1,5 +1,6 @@
-"""What was read of runs that are at rest, kept in one file beside them, so that hundreds of long ones are listed at
-once. It holds nothing that the run folders don't: whoever deletes it, or damages it, only makes the next listing slow.
+"""What was read of runs that are at rest, kept in one file beside them: hundreds of long runs are listed at once.
+
+It holds nothing that the run folders don't: whoever deletes it, or damages it, only makes the next listing slow.
 """
 
 import contextlib

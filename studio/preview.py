@@ -3,7 +3,7 @@
 import numpy as np
 
 from morph_core.catalogue import make_task
-from studio.sketch import Disc, Faces, Rod, Shape, sketch_of
+from studio.sketch import Disc, Faces, Rod, Shape, Sketch, sketch_of
 from studio.viewer.take import Shot, make_take
 
 _MARGIN = 0.06
@@ -14,7 +14,11 @@ def preview_svg(task_name: str) -> str:
     """Return an SVG of the initial design in its start posture. Raise ValueError with the choices if there is no such
     task."""
     initial = tuple(make_task(task_name).design_space.initial.tolist())
-    sketch = sketch_of(make_take(Shot(task_name, (), initial)))
+    return svg_of(sketch_of(make_take(Shot(task_name, (), initial))))
+
+
+def svg_of(sketch: Sketch) -> str:
+    """Return a sketch as SVG."""
     lo, hi = sketch.low, sketch.high
     margin = _MARGIN * float((hi - lo).max())
     width, height = hi - lo + 2 * margin

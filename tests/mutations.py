@@ -538,7 +538,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/export/servos.py", "studio/test_servos.py",
-        ("if need_of > limit * (1 + _ROUNDING)", "if need_of >= limit * (1 - 2 * _ROUNDING)"),
+        ("return need_of > limit * (1 + _ROUNDING)", "return need_of >= limit * (1 - 2 * _ROUNDING)"),
+        ("not _peak_faults(row, sheet) and not", "not"),
         ('("peak speed", row.speed_peak, sheet.no_load_speed)', '("peak speed", row.speed_95, sheet.no_load_speed)'),
         ("row.torque_95 > sheet.rated_torque", "row.torque_95 < sheet.rated_torque"),
         ("servo, chosen = full[0]", "servo, chosen = full[-1]"),

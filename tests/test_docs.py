@@ -109,12 +109,20 @@ def test_every_folder_that_the_docs_name_exists(folder: str) -> None:
         "docs/comparison.md",
         "docs/hands.md",
         "docs/decisions.md",
+        "docs/gallery.md",
         "docs/use.md",
     ],
 )
 def test_every_file_that_is_linked_exists(page: str) -> None:
     linked = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text())
     assert [path for path in linked if not (ROOT / page).parent.joinpath(path).is_file()] == []
+
+
+def test_the_gallery_shows_every_report() -> None:
+    gallery = (ROOT / "docs" / "gallery.md").read_text()
+    reports = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs" / "studies").glob("*/report.html")]
+    assert reports
+    assert [report for report in reports if f"]({report})" not in gallery] == []
 
 
 def test_every_decision_has_its_day() -> None:

@@ -57,6 +57,10 @@ class TaskEnv(Episodes, gymnasium.Env[np.ndarray, np.ndarray]):
         return self._observe()[0], {"phi": self.phi}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Take one control step; return observation, reward, terminated, truncated and what the task tells of it.
+
+        ValueError where the action is not allowed, ResetNeeded before the first reset and after the end of an episode.
+        """
         self._check_begun("step")
         if self._ended[0]:
             raise ResetNeeded("the episode has ended: call reset() before the next step()")

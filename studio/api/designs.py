@@ -6,7 +6,7 @@ from typing import Annotated
 
 import anyio.to_thread
 import numpy as np
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from morph_core.catalogue import make_task
 from morph_core.forces import contact_forces
@@ -34,6 +34,7 @@ from studio.export.design_file import phi_for, read_design, starting_from
 from studio.export.printers import CHOICES, DEFAULT
 from studio.new_run import StartRun
 from studio.runs import Runs
+from studio.show.evolution import build_evolution
 
 Formats = Annotated[
     list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step, ros, ros2_control; repeated or with commas")
@@ -55,6 +56,7 @@ WithForces = Annotated[
     bool,
     Query(description="Add contact_points (T + 1, C, 3) m and contact_forces (T + 1, C, 3) N, worked out by MuJoCo"),
 ]
+Beside = Annotated[list[str] | None, Query(description="Another run of the same task, side by side; repeated")]
 _FILE = {"schema": {"type": "string", "format": "binary"}}
 _DESIGN_BODY = {
     "requestBody": {
@@ -107,10 +109,10 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
     def exported(
         run_id: str,
         which: str,
-        formats: list[str] | None,
-        phi: list[float] | None,
-        servo: str | None,
-        printer: str | None,
+        formats: Formats = None,
+        phi: OtherPhi = None,
+        servo: Servo = None,
+        printer: Printer = None,
     ) -> Bundle:
         history = runs.get(run_id)
         history.design(which)  # an unknown one is a 404, not a failed export
@@ -143,20 +145,22 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         return _download(name, content, "application/octet-stream")
 
     @router.get(
+        "/evolution.html",
+        response_class=Response,
+        responses=gives_file("text/html", "One page that loads nothing: bodies, traces and episodes of all iterations"),
+        summary="Download the whole evolution, beside that of up to three other runs of the task",
+    )
+    def evolution(run_id: str, beside: Beside = None) -> Response:
+        page = build_evolution([runs.get(name) for name in (run_id, *(beside or ()))])
+        return _download(f"{run_id}-evolution.html", page.content, "text/html; charset=utf-8")
+
+    @router.get(
         "/designs/{which}/export",
         response_class=Response,
         responses=gives_file("application/zip", "One design for simulators, printers and people"),
         summary="Download a design: best, latest or an iteration",
     )
-    def export_design(
-        run_id: str,
-        which: str,
-        formats: Formats = None,
-        phi: OtherPhi = None,
-        servo: Servo = None,
-        printer: Printer = None,
-    ) -> Response:
-        bundle = exported(run_id, which, formats, phi, servo, printer)
+    def export_design(bundle: Annotated[Bundle, Depends(exported)]) -> Response:
         return _download(bundle.name, bundle.content, "application/zip")
 
     @router.get(
@@ -164,15 +168,7 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         responses=gives(Checked),
         summary="What an export would hold, and what was compared; it is refused if anything disagrees",
     )
-    def check_design(
-        run_id: str,
-        which: str,
-        formats: Formats = None,
-        phi: OtherPhi = None,
-        servo: Servo = None,
-        printer: Printer = None,
-    ) -> Response:
-        bundle = exported(run_id, which, formats, phi, servo, printer)
+    def check_design(bundle: Annotated[Bundle, Depends(exported)]) -> Response:
         files = [ExportedFile(path, len(content)) for path, content in sorted(bundle.files.items())]
         checks = [Comparison(c.name, c.passed, c.worst, c.allowed, c.detail) for c in bundle.checks]
         return reply(Checked(bundle.name, len(bundle.content), files, checks))

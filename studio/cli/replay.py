@@ -1,4 +1,4 @@
-"""`morph-studio replay`: a run done again from its seed and its log and compared, or its evolution as one page."""
+"""`morph-studio replay`: a run done again from its seed and its log and compared, or seen again as a page or a film."""
 
 import contextlib
 import json
@@ -17,6 +17,7 @@ from morph_core.history import History
 from studio.cli.arguments import RunName, RunsArguments, UsageError, parse
 from studio.cli.choice import open_run
 from studio.cli.evolution import write_evolution
+from studio.cli.film import FilmArguments, write_film
 from studio.cli.output import complain, say, write_json
 from studio.new_run import PACKAGES, git_state
 from studio.trainers import trainer_environment
@@ -26,18 +27,20 @@ from studio.versions import versions_of
 @dataclass(frozen=True)
 class ReplayArguments(RunsArguments):
     """Do a run again from its seed and its log, and compare phi of each iteration with what it wrote; or write its
-    whole evolution as one HTML file.
+    whole evolution as one HTML file, a film of it, or a still.
 
     The run itself is only read. Ctrl-C ends the replay with what was found so far. The exit status is 0 where phi is
     the same to the last bit, 1 where it differs.
     """
 
     run: Annotated[tuple[RunName, ...], tyro.conf.Positional] = tyro.MISSING
-    """Run to replay: its name, or the path of its folder. With --html up to four runs of one task, side by side."""
+    """Run to replay: its name, or the path of its folder. With --html up to four runs of one task, side by side,
+    with --video two; there, as with --still, RUN@DESIGN names a design of it."""
     check: bool = False
     """Compare phi of each iteration, and report the first that differs."""
     html: Annotated[Path | None, tyro.conf.arg(metavar="PATH.html")] = None
     """File to write, which opens from disk without a network: bodies, traces and episodes of all iterations."""
+    film: Annotated[FilmArguments, tyro.conf.OmitArgPrefixes] = FilmArguments()
     until: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Last iteration to compare, by default the last recorded one."""
     json: bool = False
@@ -47,11 +50,18 @@ class ReplayArguments(RunsArguments):
 def main(words: Sequence[str]) -> int:
     """Run `morph-studio replay` with these words; return the exit status. UsageError says what is allowed."""
     arguments = parse(ReplayArguments, words, "replay")
-    if arguments.check == (arguments.html is not None):
+    film = arguments.film
+    if [arguments.check, arguments.html is not None, film.is_wanted].count(True) != 1:
         raise UsageError(
-            "replay: give --check, which compares phi with what the run wrote, or --html PATH.html, which writes the "
-            "evolution as one page"
+            "replay: give one of --check, which compares phi with what the run wrote, --html PATH.html, which writes "
+            "the evolution as one page, --video FILE.mp4, which films it, and --still FILE.svg"
         )
+    if film.given and not film.is_wanted:
+        raise UsageError(f"replay: {film.given[0]} goes with --video or --still")
+    if film.is_wanted:
+        if arguments.until is not None:
+            raise UsageError("replay: --until goes with --check")
+        return write_film(arguments.runs, arguments.run, film, json=arguments.json)
     histories = [open_run(arguments.runs, run) for run in arguments.run]
     if arguments.html is not None:
         if arguments.until is not None:

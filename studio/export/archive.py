@@ -8,6 +8,8 @@ from pathlib import Path, PurePosixPath
 from studio.export.errors import ExportError
 
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)
+_PACKED = (".3mf", ".mjz")
+"""Endings of files that are archives themselves, which a second compression would only make slower."""
 MAX_FILES, MAX_BYTES = 2000, 256 << 20
 """The largest archive that is read: number of files, and their bytes together."""
 
@@ -18,7 +20,7 @@ def zipped(files: Mapping[str, bytes], compress: bool = True) -> bytes:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED) as archive:
         for path, content in files.items():
             entry = zipfile.ZipInfo(path, _FIXED_TIME)
-            entry.compress_type = archive.compression
+            entry.compress_type = zipfile.ZIP_STORED if path.endswith(_PACKED) else archive.compression
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, content)
     return buffer.getvalue()

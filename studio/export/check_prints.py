@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,12 +26,11 @@ OFF_ALLOWED = 1e-6
 """Largest distance (mm) by which a body may reach out of the printer, and area (mm^2) that may lie over another."""
 
 
-def check_part_file(path: str, content: bytes, part: PartEntry) -> tuple[dict[str, Surface], Check]:
-    """Return the surfaces of a part's 3MF as trimesh reads it, and the check of what else that says of it.
+def check_part_file(path: str, scene: Any, part: PartEntry) -> tuple[dict[str, Surface], Check]:
+    """Return the surfaces of a part's 3MF, read as a `scene`, and the check of what else that says of it.
 
     There is one, whose name is the path, or one for each piece of a part that is printed in several.
     """
-    scene = _read(content)
     names = piece_names(part.name, len(scene.geometry))
     copies = Counter(scene.graph[node][1] for node in scene.graph.nodes_geometry)
     sound = copies == dict.fromkeys(names, len(part.links)) and scene.units == "millimeter"
@@ -43,20 +42,23 @@ def check_part_file(path: str, content: bytes, part: PartEntry) -> tuple[dict[st
     return surfaces, Check(f"{path}: quantity, name and unit", float(not sound), 0.0, said)
 
 
-def check_plates(files: Mapping[str, bytes], parts: Sequence[PartEntry]) -> list[Check]:
-    """Check the plates of a bundle, and how the parts lie in their own files; a part with a problem is on no plate."""
+def check_plates(files: Mapping[str, bytes], parts: Sequence[PartEntry], read: Callable[[str], Any]) -> list[Check]:
+    """Check the plates of a bundle, and how the parts lie in their own files; a part with a problem is on no plate.
+
+    `read` returns a 3MF by its path as a scene.
+    """
     rows = {row["piece"]: row for row in csv.DictReader(io.StringIO(files[PIECES].decode()))}
     checks: list[Check] = []
     found: Counter[str] = Counter()
     size = printer_of(next(iter(rows.values()))["printer"]).size
     for path in sorted(path for path in files if path.startswith(f"{FOLDER}/") and path.endswith(".3mf")):
-        bodies = _placed(files[path])
+        bodies = _placed(read(path))
         found.update(name for name, _ in bodies)
         checks.append(Check(f"{path}: inside the printer (mm)", _outside([b for _, b in bodies], size), OFF_ALLOWED))
         checks.append(Check(f"{path}: none over another (mm^2)", _covered([b for _, b in bodies]), OFF_ALLOWED))
     for part in parts:
         if (path := f"3mf/{part.name}.3mf") in files:
-            out = _outside([body for _, body in _placed(files[path])], (math.inf,) * 3)
+            out = _outside([body for _, body in _placed(read(path))], (math.inf,) * 3)
             checks.append(Check(f"{path}: lies on the bed (mm)", out, OFF_ALLOWED))
     wrong = list(_miscounted(rows, found, parts))
     checks.append(Check("plates: each piece as often as needed", float(len(wrong)), 0.0, ", ".join(wrong[:3])))
@@ -78,16 +80,15 @@ def _miscounted(
             yield f"{found.get(name, 0)} x {name} instead of {expected.get(name, 0)}"
 
 
-def _read(content: bytes) -> Any:
+def read_3mf(content: bytes) -> Any:
     """Return a 3MF as a scene of trimesh."""
     import trimesh  # slow to load, and a server must start fast
 
     return trimesh.load_scene(io.BytesIO(content), file_type="3mf")
 
 
-def _placed(content: bytes) -> list[tuple[str, Manifold]]:
+def _placed(scene: Any) -> list[tuple[str, Manifold]]:
     """Return the bodies of a 3MF as they lie on the bed, in mm, with their names."""
-    scene = _read(content)
     bodies = []
     for node in scene.graph.nodes_geometry:
         pose, name = scene.graph[node]

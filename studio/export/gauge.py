@@ -18,9 +18,9 @@ STEEP = 45.0
 """Angle from the upright (degrees) up to which a side is printed without support."""
 PARALLEL = 15.0
 """Largest angle (degrees) between two surfaces that are taken for the two sides of one wall."""
-MOST_RAYS = 2000
+MOST_RAYS = 1000
 """Largest number of faces from which a wall is measured: an export should take no longer than a few seconds."""
-NEAR = 5.0
+NEAR = 2.0
 """Distance (mm) up to which the gap between neighbours is looked for."""
 
 

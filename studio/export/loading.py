@@ -40,7 +40,7 @@ LOADINGS: Sequence[Loading] = (
         "cp -r ros/{package} ~/ros2_ws/src/ && cd ~/ros2_ws && colcon build && source install/setup.bash\n"
         "ros2 launch {package} display.launch.py",
         note="It is shown in RViz, with a slider for each joint.",
-        untried="ROS 2 is in no package registry: a test has its own parser of URDF read the file instead.",
+        untried="The first line runs in a test, in Debian's colcon and ament; RViz 2 is in no package registry.",
     ),
     Loading(
         "Gazebo", "urdf", SHELL,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from xml.sax.saxutils import escape
 
 import mujoco
@@ -26,13 +27,32 @@ _TYPES = """\
 """
 
 
-@dataclass(frozen=True)
-class Body:
-    """An object of a 3MF: a mesh, and where its copies lie."""
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A mesh as a 3MF holds it."""
 
-    name: str
     vertices: np.ndarray  # (V, 3) mm
     faces: np.ndarray  # (F, 3)
+
+    @cached_property
+    def xml(self) -> str:
+        """The mesh in words, which are the same in the file of its part and on a plate."""
+        lines = [
+            "<mesh><vertices>",
+            *(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in self.vertices.tolist()),
+            "</vertices><triangles>",
+            *(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in self.faces.tolist()),
+            "</triangles></mesh>",
+        ]
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Body:
+    """An object of a 3MF: a shape, and where its copies lie."""
+
+    name: str
+    shape: Shape
     poses: Sequence[np.ndarray]
     """Rotation and place (3, 4) mm of each copy on the bed."""
 
@@ -47,13 +67,7 @@ def three_mf(title: str, description: str, bodies: Sequence[Body]) -> bytes:
         "<resources>",
     ]
     for number, body in enumerate(bodies, start=1):
-        lines += [
-            f'<object id="{number}" type="model" name="{_quoted(body.name)}"><mesh><vertices>',
-            *(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in body.vertices.tolist()),
-            "</vertices><triangles>",
-            *(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in body.faces.tolist()),
-            "</triangles></mesh></object>",
-        ]
+        lines.append(f'<object id="{number}" type="model" name="{_quoted(body.name)}">{body.shape.xml}</object>')
     lines.append("</resources><build>")
     for number, body in enumerate(bodies, start=1):
         for pose in body.poses:  # 3MF multiplies rows: the transposed rotation, then the place

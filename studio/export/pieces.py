@@ -9,7 +9,9 @@ from functools import cached_property
 import numpy as np
 from manifold3d import CrossSection, Manifold, Mesh64, OpType
 
+from studio.export.meshes import Shape
 from studio.export.printers import BORDER, Printer
+from studio.robots import geometry
 from studio.robots.geometry import SHORTEST
 from studio.robots.parts import Part
 
@@ -49,6 +51,11 @@ class Piece:
         """The body as it lies, in the positive octant and at its corner."""
         turned = self.solid.transform(np.column_stack([self.turn, np.zeros(3)]))
         return turned.translate(-np.array(turned.bounding_box()[:3]))
+
+    @cached_property
+    def shape(self) -> Shape:
+        """The body's mesh in the frame of its link."""
+        return Shape(*geometry.mesh(self.solid))
 
     @property
     def size(self) -> np.ndarray:

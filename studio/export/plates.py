@@ -19,7 +19,6 @@ from studio.export.meshes import Body, three_mf
 from studio.export.pieces import Piece, Pieces, lay, pieces_of, solid_of
 from studio.export.plate_picture import plate_picture
 from studio.export.printers import BORDER, PRINTERS, Printer
-from studio.robots import geometry
 from studio.robots.parts import Part
 
 FOLDER = "plates"
@@ -136,7 +135,7 @@ def _bodies(items: Sequence[Item]) -> list[Body]:
     for item in items:
         poses.setdefault(item.piece.name, []).append(item.pose)
     pieces = {item.piece.name: item.piece for item in items}
-    return [Body(name, *geometry.mesh(pieces[name].solid), poses[name]) for name in pieces]
+    return [Body(name, pieces[name].shape, poses[name]) for name in pieces]
 
 
 def _listed(plate: Plate) -> str:

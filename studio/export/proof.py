@@ -5,7 +5,9 @@ import io
 import math
 import tempfile
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import msgspec
@@ -17,7 +19,7 @@ from morph_core.catalogue import make_task
 from morph_core.task import Task
 from studio.export import onnx_policy
 from studio.export.check import Check, relative, worst
-from studio.export.check_prints import Surface, check_part_file, check_plates
+from studio.export.check_prints import Surface, check_part_file, check_plates, read_3mf
 from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
 from studio.export.meshes import start_posture
@@ -154,10 +156,11 @@ def prove_robot(
         checks += _guarded("standing", lambda: _check_standing(files, design.robot, model))
     if (urdf := f"{design.robot}.urdf") in files:
         checks += _guarded(f"{urdf}: speeds", lambda: [_check_speeds(urdf, files[urdf], model, robot.speeds)])
+    read = cache(lambda path: read_3mf(files[path]))  # a part's file is looked at as a part, and as a plate
     for part in design.parts:
-        checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed))
+        checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed, read))
     if PIECES in files:
-        checks += _guarded("plates", lambda: check_plates(files, design.parts))
+        checks += _guarded("plates", lambda: check_plates(files, design.parts, read))
     if "assembly.glb" in files:
         checks += _guarded("assembly.glb", lambda: _check_assembly(files["assembly.glb"], design, model, printed))
     return checks
@@ -286,7 +289,9 @@ def _guarded(name: str, check: Callable[[], list[Check]]) -> list[Check]:
         return [Check(name, math.inf, 0.0, f"can't be read: {error}")]
 
 
-def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjModel, printed: bool) -> list[Check]:
+def _check_part(
+    files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjModel, printed: bool, read: Callable[[str], Any]
+) -> list[Check]:
     """Check the files of a part; one that is `printed` is one body, and as heavy as the link."""
     checks: list[Check] = []
     surfaces: dict[str, Surface] = {}
@@ -297,7 +302,7 @@ def _check_part(files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjMod
         mesh = trimesh.load_mesh(io.BytesIO(files[stl]), file_type="stl")
         surfaces[stl] = np.asarray(mesh.vertices) * MILLIMETRE, np.asarray(mesh.faces)
     if three_mf in files:
-        bodies, check = check_part_file(three_mf, files[three_mf], part)
+        bodies, check = check_part_file(three_mf, read(three_mf), part)
         surfaces |= bodies
         checks.append(check)
     pieces = [surface for path, surface in surfaces.items() if path not in (stl, three_mf)]

@@ -130,8 +130,10 @@ def servo_table(
 
     `others` are needs of joints that no servo moves.
     """
-    rows: dict[ServoName, list[Row]] = {name: [_row(need, sheet) for need in needs] for name, sheet in SERVOS.items()}
-    enough: dict[ServoName, int] = {name: sum(not row.faults for row in found) for name, found in rows.items()}
+    plain = [(_row(need), need) for need in needs]
+    enough: dict[ServoName, int] = {
+        name: sum(_suffices(row, need, sheet) for row, need in plain) for name, sheet in SERVOS.items()
+    }
     full: list[ServoName] = [name for name in SERVOS if enough[name] == len(needs)]
     servo: ServoName = max(SERVOS, key=lambda name: (enough[name], SERVOS[name].stall_torque))
     chosen = "none of the table suffices; this one comes nearest"
@@ -147,14 +149,15 @@ def servo_table(
         episodes=episodes,
         instants=len(needs[0].force),
         assumed=assumed,
-        joints=rows[servo],
-        others=[_row(need, None) for need in others],
+        joints=[_beside(row, need, SERVOS[servo]) for row, need in plain],
+        others=[_row(need) for need in others],
         servos=[_candidate(name, sheet, enough[name]) for name, sheet in SERVOS.items()],
     )
 
 
-def _row(need: Need, sheet: DataSheet | None) -> Row:
-    row = Row(
+def _row(need: Need) -> Row:
+    """Return what a joint needs, without a servo."""
+    return Row(
         joint=need.joint,
         unit="N" if need.slides else "N m",
         torque_peak=peak(need.force),
@@ -162,20 +165,33 @@ def _row(need: Need, sheet: DataSheet | None) -> Row:
         speed_peak=peak(need.speed),
         speed_95=percentile(need.speed),
     )
-    if sheet is None:
-        return row
-    line = percentile(on_load_line(need.force, need.speed, sheet.stall_torque, sheet.no_load_speed))
-    faults = [
-        fault
-        for fault, need_of, limit in (
-            ("peak torque", row.torque_peak, sheet.stall_torque),
-            ("peak speed", row.speed_peak, sheet.no_load_speed),
-            ("torque at speed", line, 1.0),
-        )
-        if need_of > limit * (1 + _ROUNDING)
-    ]
+
+
+def _suffices(row: Row, need: Need, sheet: DataSheet) -> bool:
+    """Tell whether a servo can do what a joint needs; its load line takes long, and is not asked where a peak fails."""
+    return not _peak_faults(row, sheet) and not _is_over(_load_line(need, sheet), 1.0)
+
+
+def _beside(row: Row, need: Need, sheet: DataSheet) -> Row:
+    """Return what a joint needs beside what a servo has."""
+    line = _load_line(need, sheet)
+    faults = _peak_faults(row, sheet) + ["torque at speed"] * _is_over(line, 1.0)
     strained = sheet.rated_torque is not None and row.torque_95 > sheet.rated_torque
     return msgspec.structs.replace(row, load_line_95=line, faults=faults, above_rated=strained)
+
+
+def _load_line(need: Need, sheet: DataSheet) -> float:
+    return percentile(on_load_line(need.force, need.speed, sheet.stall_torque, sheet.no_load_speed))
+
+
+def _peak_faults(row: Row, sheet: DataSheet) -> list[str]:
+    """Return which peaks of a joint are above what a servo has."""
+    peaks = (("peak torque", row.torque_peak, sheet.stall_torque), ("peak speed", row.speed_peak, sheet.no_load_speed))
+    return [fault for fault, need_of, limit in peaks if _is_over(need_of, limit)]
+
+
+def _is_over(need_of: float, limit: float) -> bool:
+    return need_of > limit * (1 + _ROUNDING)
 
 
 def _candidate(name: str, sheet: DataSheet, suffices_for: int) -> Candidate:

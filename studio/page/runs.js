@@ -9,6 +9,7 @@ const WAIT = 15; // seconds for which the server holds the question for news whi
 const MOST_ASKED = 100; // rows that are asked for one by one
 const TOLD = 12000;
 const MOST_COMPARED = 100;
+const MOST_BESIDE = 4; // runs in one page of their evolution
 const FILTERS = ["search", "status", "task", "method", "tag", "starred", "archived"];
 const ALL = { status: "any state", task: "any task", method: "any method", tag: "any tag" };
 
@@ -154,6 +155,9 @@ function tellChosen() {
   find("edit").textContent = rows.length === 1 ? "Name, tags, note" : "Add tags";
   find("compare").disabled = rows.length > MOST_COMPARED;
   find("compare").title = rows.length > MOST_COMPARED ? `At most ${MOST_COMPARED} runs are compared at once` : "";
+  find("evolution").disabled = rows.length > MOST_BESIDE;
+  find("evolution").title = rows.length > MOST_BESIDE ? `At most ${MOST_BESIDE} runs stand side by side`
+    : "Download bodies, traces and episodes of all iterations as one page, which needs no network";
   remember();
 }
 
@@ -336,6 +340,24 @@ async function compare(runs) {
   }
 }
 
+// Download one page with the whole evolution of some runs, which the server puts together in a few seconds.
+async function evolution([run, ...beside]) {
+  const button = find("evolution"), words = new URLSearchParams(beside.map((other) => ["beside", other]));
+  button.disabled = true;
+  tell("Putting the evolution together…");
+  try {
+    const response = await fetch(address(run, `/evolution.html?${words}`), { cache: "no-store" });
+    if (!response.ok) throw new Error((await response.json().catch(() => null))?.detail ?? `it answered ${response.status}`);
+    const page = URL.createObjectURL(await response.blob());
+    Object.assign(document.createElement("a"), { href: page, download: `${run}-evolution.html` }).click();
+    setTimeout(() => URL.revokeObjectURL(page), 60000);
+    tell("The page is among your downloads: it opens without a network.");
+  } catch (error) {
+    tell(error.message);
+  }
+  tellChosen();
+}
+
 function draw() {
   if (!compared) return;
   traces ??= new Traces(find("traces"));
@@ -383,6 +405,7 @@ for (const name of FILTERS) {
 }
 find("filters").addEventListener("submit", (event) => event.preventDefault());
 find("compare").addEventListener("click", () => compare(chosenRows().map((row) => row.id)));
+find("evolution").addEventListener("click", () => evolution(chosenRows().map((row) => row.id)));
 find("star").addEventListener("click", () => star(chosenRows()));
 find("edit").addEventListener("click", () => edit(chosenRows()));
 find("archive").addEventListener("click", () => archive(chosenRows()));
@@ -431,6 +454,7 @@ const keys = {
   a: (row) => archive(meant(row)),
   Delete: (row) => askDelete(meant(row)),
   c: () => chosenRows().length && !find("compare").disabled && compare(chosenRows().map((row) => row.id)),
+  v: () => chosenRows().length && !find("evolution").disabled && evolution(chosenRows().map((row) => row.id)),
   z: () => undo(),
   "/": () => find("search").focus(),
   "?": () => find("show-help").showModal(),

@@ -39,7 +39,7 @@ class Course:
     @property
     def env_steps(self) -> np.ndarray:
         """Environment steps (n,) after each of them; a branch that counts on begins where its first iteration does."""
-        first = self.progress[1].env_steps if len(self.progress) > 1 and self.history.begins_at else 0
+        first = next((p.env_steps for p in self.progress if p), 0) if self.history.begins_at else 0
         return np.array([first if p is None else p.env_steps for p in self.progress], float)
 
     @property

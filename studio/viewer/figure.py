@@ -84,7 +84,7 @@ class Figure:
         sizes = np.array([_size(model, i) for i in visible]).reshape(-1, 3)
         for k, i in enumerate(visible):
             if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:  # its top is the plane
-                positions[:, k] -= _matrices(wxyz[:, k])[..., 2] * sizes[k, 2]
+                positions[:, k] -= rotations(wxyz[:, k])[..., 2] * sizes[k, 2]
         kinds = tuple(KINDS[int(model.geom_type[i])] for i in visible)
         return cls(
             names=tuple(model.geom(i).name or model.body(int(model.geom_bodyid[i])).name for i in visible),
@@ -164,19 +164,24 @@ class Figure:
         """Return the corners (3,) and (3,) of a box that holds all parts at all instants."""
         if not len(self):
             return np.zeros(3), np.zeros(3)
-        centres, reaches = [], []
+        corners = self.corners(range(self.instants))
+        return corners.min(0), corners.max(0)
+
+    def corners(self, instants: Sequence[int]) -> np.ndarray:
+        """Return the corners (8 n T, 3) of level boxes, each of which holds one part at one of T instants."""
+        signs = np.array(list(itertools.product((-1, 1), repeat=3)))
+        found = [np.zeros((0, 3))]
         for i, kind in enumerate(self.kinds):
             mesh = self.meshes[i]
             half = np.abs(mesh.vertices).max(0) if mesh else self.sizes[i].copy()
             half[2] += half[0] if kind == "capsule" else 0.0
-            centres.append(self.positions[:, i])
-            reaches.append(np.abs(_matrices(self.wxyz[:, i])) @ half)
-        centre, reach = np.stack(centres), np.stack(reaches)
-        return (centre - reach).min((0, 1)), (centre + reach).max((0, 1))
+            reach = np.abs(rotations(self.wxyz[list(instants), i])) @ half
+            found.append((self.positions[list(instants), i, None] + reach[:, None] * signs).reshape(-1, 3))
+        return np.concatenate(found)
 
     def nearest(self, point: np.ndarray, instant: int = 0) -> int:
         """Return the index of the part nearest to a point (3,) of the world, or of the one that holds it deepest."""
-        turned = np.einsum("nji,nj->ni", _matrices(self.wxyz[instant]), point - self.positions[instant])
+        turned = np.einsum("nji,nj->ni", rotations(self.wxyz[instant]), point - self.positions[instant])
         distances = [
             mesh.depth(local) if mesh else float(np.max(np.abs(local) - size))
             for mesh, local, size in zip(self.meshes, turned, self.sizes, strict=True)
@@ -223,7 +228,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Mesh:
     )
 
 
-def _matrices(wxyz: np.ndarray) -> np.ndarray:
+def rotations(wxyz: np.ndarray) -> np.ndarray:
     """Return rotation matrices (..., 3, 3) of quaternions (..., 4)."""
     w, x, y, z = np.moveaxis(wxyz, -1, 0)
     rows = [

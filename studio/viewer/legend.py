@@ -17,13 +17,13 @@ def legend_of(take: Take) -> str:
     """Return the legend of what is in the scene as HTML: a swatch and a word for each colour."""
     entries = [
         f'<span style="white-space:nowrap;margin-right:0.9em">{wording.swatch(colour)} {wording.text(words)}</span>'
-        for colour, words in entries_of(take)
+        for colour, words in meanings(take)
     ]
     return wording.paragraph(" ".join(entries)) + (_scale(take.shot.tint) if take.shot.tint else "")
 
 
-def entries_of(take: Take) -> Iterator[tuple[Colour, str]]:
-    """Yield each colour that stands in the scene, with what it means."""
+def meanings(take: Take) -> Iterator[tuple[Colour, str]]:
+    """Yield the colours of the things in the scene, each with the word for it."""
     goal = _colour_of(take.scenery, "goal")
     if goal:
         yield goal, "goal"

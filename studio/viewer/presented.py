@@ -9,7 +9,7 @@ import numpy as np
 from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import Evaluation, Status
-from studio.viewer.legend import entries_of
+from studio.viewer.legend import meanings
 from studio.viewer.parts import Quantity, quantities_of
 from studio.viewer.player import Player
 
@@ -89,7 +89,7 @@ def presented(history: History, status: Status, shown: int, doing: str, player: 
         time=round(player.time, 1),
         duration=round(take.duration, 1) if take else 0.0,
         playing=player.playing,
-        legend=tuple(Swatch("rgb({}, {}, {})".format(*colour), words) for colour, words in entries_of(take))
+        legend=tuple(Swatch("rgb({}, {}, {})".format(*colour), words) for colour, words in meanings(take))
         if take
         else (),
     )

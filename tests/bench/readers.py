@@ -8,6 +8,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from studio.robots.chooser import robot_of
 _TESTS = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(_TESTS.parent), str(_TESTS / "studio")]
 
-from test_export_proof import corners, faults_of, random_design  # noqa: E402
+from test_export_proof import designs_with_corners, faults_of  # noqa: E402
 
 POSTURES = 5
 
@@ -39,6 +40,8 @@ class Readers:
     """Designs of each task; the corners are the first of them."""
     tasks: tuple[str, ...] = tuple(sorted(TASKS))
     seed: int = 0
+    here: bool = True
+    """Read with the readers of this environment too, which takes some seconds for each design."""
     beside: list[Path] = field(default_factory=list)
     """Interpreters that can import Drake, urchin or MuJoCo; each reads with all that it has."""
 
@@ -66,25 +69,34 @@ def main(options: Readers) -> int:
     failed = 0
     with tempfile.TemporaryDirectory() as place:
         for name in options.tasks:
-            task, rng, faulty = make_task(name), np.random.default_rng(options.seed), 0
-            chosen = [phi for phi in corners(task) if task.buildable(phi)]
-            chosen += [random_design(task, rng) for _ in range(options.designs - len(chosen))]
+            task = make_task(name)
+            chosen = designs_with_corners(task, options.designs, options.seed)
+            if options.here:
+                failed += read_here(task, chosen)
             for number, phi in enumerate(chosen):
-                faults = faults_of(task, phi)
-                faulty += bool(faults)
-                for fault in faults:
-                    print(f"{name} {number}: {fault}", flush=True)
                 folder = Path(place) / f"{name}_{number:03d}"
                 unpack(robot_files(task, phi, robot_of(task).parts(phi), ("mjcf", "urdf")), folder)
                 (folder / "robot.txt").write_text(robot_of(task).file_name)
                 (folder / "expected.json").write_text(json.dumps(expected(task, phi)))
-            print(f"{name}: {len(chosen) - faulty} of {len(chosen)} designs alike in this environment", flush=True)
-            failed += faulty
         program = Path(__file__).with_name("reader.py")
         for python in options.beside:
             ended = subprocess.run([python, program, place], check=False)
             failed += ended.returncode
     return min(failed, 1)
+
+
+def read_here(task: Task, chosen: Sequence[np.ndarray]) -> int:
+    """Print what the readers of this environment find wrong with designs (d,), and return with how many."""
+    faulty = 0
+    for number, phi in enumerate(chosen):
+        faults = faults_of(task, phi)
+        faulty += bool(faults)
+        for fault in faults:
+            print(f"{task.name} {number}: {fault}", flush=True)
+        if number % 10 == 9:
+            print(f"{task.name}: {number + 1 - faulty} of {number + 1} so far", flush=True)
+    print(f"{task.name}: {len(chosen) - faulty} of {len(chosen)} designs alike in this environment", flush=True)
+    return faulty
 
 
 if __name__ == "__main__":

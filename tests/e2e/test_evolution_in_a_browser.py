@@ -72,7 +72,7 @@ def test_a_person_scrubs_plays_and_reads(pages: tuple[Path, Path], opened: Opene
     assert state(page)["mode"] == ""
     caption = page.locator(".caption")
     expect(caption).to_contain_text("Iteration 12 of 12 · 61.4 k steps")
-    expect(caption).to_contain_text("success 50 % (sampled policy), 50 % (its mean), in iteration 10")
+    expect(caption).to_contain_text("success 50 % sampled, 50 % with the mean action, in iteration 10")
     expect(page.get_by_role("row", name="length finger 1")).to_contain_text("22.0")  # cm
 
     page.keyboard.press("ArrowLeft")

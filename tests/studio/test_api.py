@@ -195,6 +195,7 @@ def test_an_unknown_run_lists_the_choices_on_every_route(served: Served, ended: 
     for method, rest in (
         ("GET", ""), ("POST", "/commands"), ("POST", "/resume"), ("POST", "/show"), ("GET", "/events"),
         ("GET", "/metrics"), ("GET", "/designs"), ("GET", "/episodes/3"), ("GET", "/designs/best/export"),
+        ("GET", "/evolution.html"),
     ):  # fmt: skip
         content = b'{"type": "pause"}' if rest == "/commands" else None
         answer = served.client.request(method, f"/api/runs/nobody{rest}", content=content)
@@ -318,6 +319,18 @@ def test_a_rollout_that_links_elsewhere_is_not_followed(served: Served, ended: R
     secret.write_bytes(b"secret")
     ended.episode(7).symlink_to(secret)
     assert "no plain file" in refused(served.client.get(f"/api/runs/{ended.id}/episodes/7"), 404)
+
+
+def test_the_evolution_is_downloaded_as_a_page_and_never_opened_as_one_of_ours(
+    served: Served, ended: RunFolder
+) -> None:
+    answer = served.client.get(f"/api/runs/{ended.id}/evolution.html")
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-disposition"] == f'attachment; filename="{ended.id}-evolution.html"'
+    assert answer.text.startswith("<!doctype html>")
+    again = served.client.get(f"/api/runs/{ended.id}/evolution.html", params={"beside": ended.id})
+    assert "a run stands beside others once" in refused(again)
+    assert ended.id in refused(served.client.get(f"/api/runs/{ended.id}/evolution.html?beside=nobody"), 404)
 
 
 def test_an_export_is_a_zip_with_mjcf_urdf_and_provenance(served: Served, ended: RunFolder) -> None:

@@ -30,7 +30,7 @@ from studio.export.archive import unzipped, zipped
 from studio.export.bundle import EPISODES, FORMATS, Bundle, build_bundle, parts_of_design, robot_files
 from studio.export.design_file import Design, PartEntry, phi_for, read_design, starting_from
 from studio.export.errors import ExportError
-from studio.export.meshes import Body, three_mf
+from studio.export.meshes import Body, Shape, three_mf
 from studio.export.plates import plan_prints, print_files
 from studio.export.policy import Policy, Score
 from studio.export.printers import DEFAULT
@@ -61,6 +61,13 @@ def corners(task: Task) -> list[np.ndarray]:
     space = task.design_space
     lengths = np.array([p.unit == "m" for p in space.parameters])
     return [np.where(lengths, space.lo, space.lo), np.where(lengths, space.hi, space.lo), space.hi]
+
+
+def designs_with_corners(task: Task, count: int, seed: int) -> list[np.ndarray]:
+    """Return so many designs (d,) that can be assembled: the corners of the box, and random ones."""
+    rng = np.random.default_rng(seed)
+    chosen = [phi for phi in corners(task) if task.buildable(phi)][:count]
+    return chosen + [random_design(task, rng) for _ in range(count - len(chosen))]
 
 
 def faults_of(task: Task, phi: np.ndarray) -> list[str]:
@@ -390,7 +397,7 @@ def without_a_copy(content: bytes) -> bytes:
 
 def with_a_second_object(_: bytes) -> bytes:
     cube = trimesh.creation.box((10, 10, 10))
-    body = Body("palm", np.asarray(cube.vertices), np.asarray(cube.faces), [np.eye(3, 4)])
+    body = Body("palm", Shape(np.asarray(cube.vertices), np.asarray(cube.faces)), [np.eye(3, 4)])
     files = unzipped(three_mf("palm", "", [body]))
     text = files["3D/3dmodel.model"].decode()
     thing = text[text.index("<object ") : text.index("</object>") + len("</object>")]

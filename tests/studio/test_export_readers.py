@@ -1,11 +1,13 @@
 """Exported files stand where every reader begins, in words that strict and old readers take, and show in ROS."""
 
-import ast
 import os
+import runpy
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
@@ -373,11 +375,38 @@ def test_a_ros_package_holds_all_that_its_files_ask_for() -> None:
     assert {mesh.removeprefix(f"package://{folder}/") for mesh in meshes} <= set(inside)
     assert ElementTree.fromstring(inside["package.xml"]).findtext("name") == folder
     assert b"Fixed Frame: world" in inside["rviz/display.rviz"]
-    ast.parse(inside["launch/display.launch.py"])
     installed = inside["CMakeLists.txt"].decode()
     assert all(f" {place}" in installed for place in {path.split("/")[0] for path in inside if "/" in path})
     texts = [content.decode() for path, content in inside.items() if not path.startswith("meshes/")]
     assert not any("@" in text.replace("nobody@example.com", "") for text in texts), "a word was left unfilled"
+
+
+def test_the_launch_file_starts_what_shows_the_description_of_its_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """ROS 2 itself is not here: its modules are stood in for, and what the file gives them is looked at."""
+    files, _ = the_hand()
+    unpack({path.removeprefix("ros/"): content for path, content in files.items() if path.startswith("ros/")}, tmp_path)
+    asked: list[dict[str, Any]] = []
+    stand_ins: dict[str, dict[str, Callable[..., object]]] = {
+        "ament_index_python.packages": {"get_package_share_directory": lambda name: str(tmp_path / name)},
+        "launch": {"LaunchDescription": list},
+        "launch_ros.actions": {"Node": lambda **facts: asked.append(facts)},
+        "launch_ros.parameter_descriptions": {"ParameterValue": lambda value, value_type: value_type(value)},
+    }
+    for name, words in stand_ins.items():
+        monkeypatch.setitem(sys.modules, name, SimpleNamespace(**words))
+    runpy.run_path(str(tmp_path / "pen_press_description" / "launch" / "display.launch.py"))[
+        "generate_launch_description"
+    ]()
+    publisher, sliders, viewer = asked
+    robot = ElementTree.fromstring(publisher["parameters"][0]["robot_description"])
+    assert {link.get("name") for link in robot.iter("link")} >= {"world", "base", "palm", "finger_4_distal"}
+    assert [node["package"] for node in (publisher, sliders)] == ["robot_state_publisher", "joint_state_publisher_gui"]
+    assert Path(viewer["arguments"][1]).read_text().startswith("Panels:")
+    needed = ElementTree.parse(tmp_path / "pen_press_description" / "package.xml").iter("exec_depend")
+    modules = {name.split(".")[0] for name in stand_ins}
+    assert {node["package"] for node in asked} | modules == {depend.text for depend in needed}
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     history = History(make_hand_run(tmp_path_factory.mktemp("runs"), "pen_press"))
     add_policy(history, make_task("pen_press"), 0)
     folder = tmp_path_factory.mktemp("bundle")
-    unpack(build_bundle(history, "best", ["mjcf", "urdf", "stl"]).files, folder)
+    unpack(build_bundle(history, "best", ["mjcf", "urdf", "ros", "stl"]).files, folder)
     return folder
 
 
@@ -68,7 +68,7 @@ def run_python(tool: str, folder: Path, *sites: Path) -> None:
 
 def run_first_line(tool: str, folder: Path, surroundings: Mapping[str, str]) -> str:
     """Run the first line of a tool for a shell in the folder of a bundle, and return what it prints."""
-    command = ["bash", "-e", "-u", "-c", text_of(tool).splitlines()[0]]
+    command = ["bash", "-e", "-c", text_of(tool).splitlines()[0]]
     done = subprocess.run(
         command, cwd=folder, env={**surroundings}, capture_output=True, text=True, timeout=200, check=False
     )
@@ -114,6 +114,22 @@ def test_the_parser_of_ros_reads_the_description(folder: Path) -> None:
     done = subprocess.run([command, folder / "hand.urdf"], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Successfully Parsed XML" in done.stdout
+
+
+@pytest.mark.slow
+def test_the_line_of_ros_2_builds_the_package(folder: Path, tmp_path: Path) -> None:
+    """Debian has what builds packages of ROS 2, colcon and ament-cmake, without ROS 2 itself."""
+    needed = ("share/ament_cmake", "lib/python3/dist-packages/colcon_ros", "lib/python3/dist-packages/colcon_bash")
+    if not all(Path("/usr", place).is_dir() for place in needed):
+        pytest.skip("install Debian's packages colcon, python3-colcon-ros, python3-colcon-bash and ament-cmake")
+    (tmp_path / "ros2_ws" / "src").mkdir(parents=True)
+    run_first_line("ROS 2", folder, {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin"})
+    share = tmp_path / "ros2_ws" / "install" / "pen_press_description" / "share"
+    built = {path.relative_to(share).as_posix() for path in share.rglob("*") if path.is_file()}
+    source = folder / "ros" / "pen_press_description"
+    shown = {path.relative_to(source).as_posix() for path in source.rglob("*") if path.parent != source}
+    assert {f"pen_press_description/{path}" for path in shown if "." in path} <= built
+    assert "ament_index/resource_index/packages/pen_press_description" in built
 
 
 def test_the_line_of_gazebo_runs_in_sdformat(folder: Path, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree, html
 
+from morph_core.curves import COLOURS, INK
 from morph_core.protocol import Status
 from studio.cli import run
 from studio.cli import study as cli
@@ -19,7 +20,7 @@ from studio.study import report
 from studio.study.plan import StudyError, parse_seeds, parse_task, parse_variant, plan_study, read_study
 from studio.study.report import write_report, write_tables_into
 from studio.study.report.claims import CLAIMS
-from studio.study.report.drawing import COLOURS, DASHES, INK, STANDARD, looks, slim
+from studio.study.report.drawing import DASHES, STANDARD, looks, slim
 from studio.study.report.figures.learning import middle_half
 from studio.study.report.markdown import fill
 from studio.study.report.page import command_of, ranges

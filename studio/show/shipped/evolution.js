@@ -12,6 +12,7 @@ const MARKS = {
 const AXES = { iterations: "iteration", env_steps: "environment steps" };
 const FLAT = 0.25; // a scene that is lower than this share of its shorter side is seen from above
 const ABOVE = [0, -0.3, 1], OBLIQUE = [0.55, -1.1, 0.5];
+const NARROW = 280; // px: a view that is less wide has small captions
 const REST = 250; // ms without a change after which the picture is drawn finely
 const PAUSE = 0.7; // s between the end of an episode and its next beginning
 const GOOD = 0.95; // success that is told in green
@@ -67,7 +68,10 @@ class Runner {
       const swatch = document.createElement("span");
       swatch.className = "swatch";
       swatch.style.background = this.colour;
-      heading.append(swatch, `${LETTERS[this.index]} · ${run.name}`, document.createElement("br"));
+      const name = document.createElement("span");
+      name.className = "name";
+      name.textContent = ` · ${run.name}`;
+      heading.append(swatch, LETTERS[this.index], name, document.createElement("br"));
     }
     count.textContent = this.row ? `Iteration ${this.iteration} of ${this.last}` : "Initial design";
     heading.append(count, this.row ? ` · ${steps(course.env_steps[this.row])} steps` : "");
@@ -75,7 +79,7 @@ class Runner {
     if (at < 0) lines.push(line("no evaluation so far", "faint"));
     else {
       const from = evaluations.iterations[at], when = from === this.iteration ? "" : `, in iteration ${from}`;
-      const result = line(`success ${percent(evaluations.sampled[at])} (sampled policy), ${percent(evaluations.deterministic[at])} (its mean)${when}`, "result");
+      const result = line(`success ${percent(evaluations.sampled[at])} sampled, ${percent(evaluations.deterministic[at])} with the mean action${when}`, "result");
       result.dataset.good = evaluations.sampled[at] >= GOOD;
       lines.push(result);
     }
@@ -134,6 +138,7 @@ class Evolution {
   arrange() {
     this.runners.forEach(({ caption }, i) => {
       const { left, top, width } = this.stage.rectangle(i);
+      caption.classList.toggle("narrow", width < NARROW);
       Object.assign(caption.style, { left: `${left}px`, top: `${top}px`, maxWidth: `${width}px` });
     });
     this.dirty = true;
@@ -353,7 +358,7 @@ class Evolution {
   }
 
   makeTable() {
-    const [head] = $("phi").tHead.rows, names = this.several ? this.runners.map(({ index }) => LETTERS[index]) : ["value", "initial", "change"];
+    const [head] = $("phi").tHead.rows, names = this.several ? this.runners.map(({ index }) => LETTERS[index]) : ["value", "initial"];
     const cell = (tag, text) => Object.assign(document.createElement(tag), { textContent: text });
     head.replaceChildren(...["parameter", "between its bounds", ...names, "unit"].map((text) => Object.assign(cell("th", text), { scope: "col" })));
     const [{ run: { course: { parameters } } }] = this.runners;
@@ -391,8 +396,7 @@ class Evolution {
       start.style.left = share(here.initial);
       markers.forEach((marker, k) => { marker.style.left = share(now[k].value); });
       place.title = `${text(here.lo)} to ${text(here.hi)} ${unit} are allowed; box: initial value`;
-      const change = here.value - here.initial, sign = change < 0 ? "−" : "+";
-      const written = this.several ? now.map(({ value }) => text(value)) : [text(here.value), text(here.initial), `${sign}${text(Math.abs(change))}`];
+      const written = this.several ? now.map(({ value }) => text(value)) : [text(here.value), text(here.initial)];
       cells.forEach((cell, k) => { cell.textContent = written[k]; });
     });
   }

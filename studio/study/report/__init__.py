@@ -2,8 +2,12 @@
 
 import importlib.util
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from studio.study.plan import StudyError
+
+if TYPE_CHECKING:
+    from studio.study.report.results import Results
 
 RUNS = "runs.csv"
 """Name of the table by which a report's folder is known."""
@@ -28,13 +32,22 @@ def write_tables_into(directory: Path, document: Path) -> int:
 
     `directory` is the study's, or that of its report. Raise StudyError if there is no study or no place.
     """
-    check_extra()
+    results = results_at(directory)
     from studio.study.report.markdown import write_into
+
+    return write_into(document, directory.resolve().name, results)
+
+
+def results_at(directory: Path) -> "Results":
+    """Return what the runs of a study came to; `directory` is the study's, or that of its report.
+
+    Raise StudyError if there is no study, or if what a report is made with is not installed.
+    """
+    check_extra()
     from studio.study.report.results import read_results
     from studio.study.report.tables import read_tables
 
-    results = read_tables(directory) if (directory / RUNS).is_file() else read_results(directory)
-    return write_into(document, directory.resolve().name, results)
+    return read_tables(directory) if (directory / RUNS).is_file() else read_results(directory)
 
 
 def check_extra() -> None:

@@ -10,14 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
+from morph_core.curves import COLOURS, INK, STYLE
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = (
-    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#a569ff", "#a53c1e", "#780ff0",
-)  # fmt: skip
-"""Colours that people with a colour blindness tell apart, on white and on dark ground: six of Okabe and Ito (2008), and
-three that keep the largest distance from these and from one another."""
 DASHES: tuple[object, ...] = ("-", (0, (5, 2)), (0, (1, 1.4)), (0, (5, 1.5, 1, 1.5)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 STANDARD = (
@@ -25,9 +22,6 @@ STANDARD = (
     "paper,projection=as_printed", "no_hw_opt",
 )  # fmt: skip
 """Variants that look the same in the report of every study, each in its own colour."""
-INK = "#1c2733"
-"""Colour of text and axes; in a page it becomes that of the page's text."""
-FAINT = "#8a929c"
 DOTS_PER_INCH = 150
 PIXELS_PER_POINT = 1.75
 """Scale of a figure in a page, where there is room for it."""
@@ -85,37 +79,10 @@ def new_figure(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    mpl.rcParams.update(_STYLE)
+    mpl.rcParams.update(STYLE)
     figure = Figure(figsize=(width, rows * height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
-
-
-_STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "font.size": 9,
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "axes.titlesize": 9,
-    "axes.titleweight": "bold",
-    "axes.labelsize": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": FAINT,
-    "grid.alpha": 0.25,
-    "grid.linewidth": 0.5,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "lines.linewidth": 1.7,
-    "figure.facecolor": "white",
-    "axes.facecolor": "none",
-    **{
-        name: INK
-        for name in ("text.color", "axes.edgecolor", "axes.labelcolor", "axes.titlecolor", "xtick.color", "ytick.color")
-    },
-}
 
 
 def save(drawing: Drawing, folder: Path, *, pixels: bool) -> str:

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from studio.study.report.drawing import FAINT, Drawing, looks, new_figure
+from morph_core.curves import FAINT
+from studio.study.report.drawing import Drawing, looks, new_figure
 from studio.study.report.figures.learning import broken, short
 from studio.study.report.results import Results
 from studio.study.report.scores import AGGREGATES, Estimate, Strata, aggregates, improvement

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from morph_core.curves import FAINT, INK
 from studio.study.report.claims import NEGATIVE_SHARE
-from studio.study.report.drawing import FAINT, INK, Drawing, looks, new_figure
+from studio.study.report.drawing import Drawing, looks, new_figure
 from studio.study.report.figures.learning import broken, by_run, middle_half, points
 from studio.study.report.results import CurveRow, Results, chosen
 

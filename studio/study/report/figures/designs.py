@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
-from studio.study.report.drawing import FAINT, INK, Drawing, Look, looks, new_figure
+from morph_core.curves import FAINT, INK
+from studio.study.report.drawing import Drawing, Look, looks, new_figure
 from studio.study.report.figures.learning import broken, show_ticks_below
 from studio.study.report.results import DesignRow, Results, chosen
 

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from studio.study.report.drawing import FAINT, INK, Drawing, Look, looks, new_figure
+from morph_core.curves import FAINT, INK
+from studio.study.report.drawing import Drawing, Look, looks, new_figure
 from studio.study.report.figures.learning import MILLION, short
 from studio.study.report.results import Results, RunRow
 

@@ -1,0 +1,1 @@
+"""Films and stills of runs, drawn without a display and encoded with ffmpeg."""

@@ -1,0 +1,5 @@
+"""Why there is no film or still: an error whose message says what still works."""
+
+
+class FilmError(ValueError):
+    """Error of a film or a still that can't be made; the message says why, and what still can be done."""
