@@ -98,7 +98,7 @@ def presented(history: History, status: Status, shown: int, doing: str, player: 
 def curves_of(history: History) -> Curves:
     """Return the curves of a run; of many evaluations some are left out, never the first or the last."""
     rows = _thinned([e for e in history.evaluations if len(e.phi) == len(history.design_space)])
-    phi = np.array([e.phi for e in rows], float).reshape(len(rows), -1)
+    phi = np.array([e.phi for e in rows], float).reshape(len(rows), len(history.design_space))
     return Curves(
         run=history.folder.id,
         iteration=[e.iteration for e in rows],
@@ -109,10 +109,11 @@ def curves_of(history: History) -> Curves:
 
 def _phi_curves(quantity: Quantity, phi: np.ndarray) -> PhiCurves:
     """Return the curves of one quantity, of designs phi (n, d); numbered parts of one kind go by their numbers."""
+    name = quantity.name.replace("_", " ")
     parts = [entry.part.rpartition(" ") for entry in quantity.entries]
     numbered = len({kind for kind, _, _ in parts}) == 1 and all(kind and number.isdigit() for kind, _, number in parts)
     return PhiCurves(
-        name=quantity.name.replace("_", " ") + (f" by {parts[0][0]}" if numbered else ""),
+        name=name + (f" by {parts[0][0]}" if numbered and parts[0][0] != name else ""),
         unit=quantity.unit.name,
         curves=[
             PhiCurve(

@@ -27,6 +27,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
+from morph_core.history import History
 from studio import audience as audience_module
 from studio.audience import Audience
 from studio.desks import Presenting
@@ -34,7 +35,7 @@ from studio.invitation import Invitation
 from studio.security import MOST_GUESSES, Guesses
 from studio.settings import Settings
 from studio.spectators import aspect_of
-from studio.viewer.presented import Presented
+from studio.viewer.presented import Presented, curves_of
 from studio.viewer.scene_copy import SceneCopy
 
 KEY = "a-spectator-of-the-tests"
@@ -511,6 +512,24 @@ def test_the_viewer_says_what_it_shows(page: Page, tmp_path: Any) -> None:
     assert seen.iteration == page.viewer.timeline.shown_iteration
     assert "arm" in seen.title.lower() or seen.title
     assert any(entry.words == "goal" for entry in seen.legend)
+    page.viewer.timeline.turn_to(0)
+    assert page.viewer.presented[0].success is None, "of an evaluation that came later"
     page.viewer.open(None)
     seen, history = page.viewer.presented
     assert (seen.run, history) == (None, None)
+
+
+def test_the_curves_of_a_run_are_thinned_and_begin_with_none(tmp_path: Any) -> None:
+    folder = make_run(tmp_path / "runs", ended="finished")
+    history = History(folder)
+    (evaluation,) = history.evaluations[:1]
+    history.evaluations[:] = []
+    assert curves_of(history).iteration == []
+    history.evaluations[:] = [msgspec.structs.replace(evaluation, iteration=i) for i in range(1000)]
+    curves = curves_of(history)
+    assert len(curves.iteration) == 200
+    assert (curves.iteration[0], curves.iteration[-1]) == (0, 999)
+    (links,) = curves.phi
+    assert (links.name, links.unit) == ("link", "m")
+    assert [curve.name for curve in links.curves] == ["1", "2", "3", "4", "5"]
+    assert {len(curve.values) for curve in links.curves} == {200}
