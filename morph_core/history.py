@@ -265,9 +265,9 @@ class History:
             return self.begins_at, self.initial_phi
         if not which.isdecimal():
             raise RunFolderError(f'no design "{which[:40]}"; choose best, latest or an iteration (0: the initial one)')
-        for progress in self.progress:
-            if progress.iteration == int(which):
-                return progress.iteration, np.array(progress.phi)
+        number = bisect.bisect_left(self.progress, int(which), key=lambda p: p.iteration)
+        if number < len(self.progress) and self.progress[number].iteration == int(which):
+            return self.progress[number].iteration, np.array(self.progress[number].phi)
         allowed = f"choose best, latest or {self.begins_at} to {self.iteration}"
         raise RunFolderError(f"{self.folder.id} has no iteration {which}; {allowed}")
 

@@ -82,6 +82,15 @@ class Method(Settings, ABC):
         """Return in a few words, for people, how phi is found."""
         return self.title
 
+    @property
+    def search_interval(self) -> int:
+        """Return the number of iterations from one search for phi to the next; 1 where none differs from the others."""
+        return 1
+
+    def prepare(self, task: Task, state: "State") -> None:
+        """Do what is needed once before the first iteration, which does it otherwise."""
+        return
+
     @abstractmethod
     def iterations(self, task: Task, state: "State") -> Iterator[Progress]:
         """Yield one Progress per iteration, for ever; between two of them `state` is the caller's to read and to edit.

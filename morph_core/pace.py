@@ -1,31 +1,64 @@
-"""The pace of a trainer: how long its iterations take, and so how long the rest of the run will."""
+"""The pace of a trainer: how long its iterations and its evaluations take, and so how long the rest of the run will."""
+
+from collections.abc import Sequence
 
 _WINDOW = 20
-"""Number of iterations over which the pace is taken: two searches of a usual interval, so that it hardly swings."""
+"""Number of iterations over which the pace is taken, so that it hardly swings."""
+_SELDOM = 5
+"""Number of iterations with a search, and of evaluations, over which theirs is taken: they come seldom."""
 
 
 class Pace:
-    """Seconds and environment steps of a trainer's iterations."""
+    """Seconds of a trainer's iterations, of those with a search for phi, and of its evaluations, each by itself: what
+    comes every few iterations is counted, and not spread over those that happen to have been timed.
+
+    It may be asked by one thread while another one tells it of an iteration.
+    """
 
     def __init__(self) -> None:
-        self._taken: list[tuple[float, int]] = []
+        self._first: float | None = None
+        self._plain: Sequence[float] = ()
+        self._searched: Sequence[float] = ()
+        self._evaluated: Sequence[float] = ()
+        self._env_steps: Sequence[float] = ()
 
-    def took(self, seconds: float, env_steps: int) -> None:
-        """Take in an iteration."""
-        self._taken = [*self._taken[-_WINDOW:], (seconds, env_steps)]
+    def took(self, seconds: float, env_steps: int, searched: bool = False) -> None:
+        """Take in an iteration, with or without a search for phi that not every iteration has."""
+        if self._first is None:
+            self._first = seconds
+        elif searched:
+            self._searched = _newest(self._searched, seconds, _SELDOM)
+        else:
+            self._plain = _newest(self._plain, seconds, _WINDOW)
+        self._env_steps = _newest(self._env_steps, env_steps, _WINDOW)
+
+    def evaluated(self, seconds: float) -> None:
+        """Take in an evaluation, with all that is saved after it."""
+        self._evaluated = _newest(self._evaluated, seconds, _SELDOM)
 
     @property
     def env_steps(self) -> float | None:
         """Return the environment steps of an iteration; None before the first one."""
-        return self._mean(1)
+        return _mean(self._env_steps)
 
-    def left(self, iterations: int) -> float | None:
-        """Return the seconds that so many iterations will take; None before the first one."""
-        seconds = self._mean(0)
-        return None if seconds is None else seconds * iterations
+    def left(self, iterations: int, searches: int = 0, evaluations: float = 0.0, expected: float = 0.0) -> float | None:
+        """Return the seconds that so many iterations, searches among them and evaluations beside them will take.
 
-    def _mean(self, which: int) -> float | None:
-        """Return the mean of seconds or steps, without the first iteration, in which much is done for the first
-        time, as soon as there is another."""
-        counted = self._taken[1:] or self._taken
-        return sum(taken[which] for taken in counted) / len(counted) if counted else None
+        An evaluation takes the `expected` seconds as long as none was timed. None before the first iteration.
+        """
+        if self._first is None:
+            return None
+        # Much is done for the first time in the first one: it counts as long as there is no other.
+        plain = _mean(self._plain) or self._first
+        searched = _mean(self._searched) or plain
+        evaluated = _mean(self._evaluated) or expected
+        return plain * (iterations - searches) + searched * searches + evaluated * evaluations
+
+
+def _newest(values: Sequence[float], value: float, most: int) -> Sequence[float]:
+    """Return the newest of some values, at most so many, with another one."""
+    return (*values[1 - most :], value)
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return sum(values) / len(values) if values else None

@@ -1,5 +1,6 @@
 """Trajectories: collect them with any policy on any hardware, and estimate advantages."""
 
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -34,6 +35,8 @@ class Rollout:
     kept: np.ndarray  # (episodes started,) bool: which of them are here
     steps: int
     """Environment steps taken, those of the episodes left out included."""
+    seconds: float = 0.0
+    """Time that collecting them took, in seconds, from which it is known what others will take."""
 
     @property
     def episodes(self) -> int:
@@ -71,7 +74,7 @@ def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray, phi_seen: n
 
     `phi_seen` (N, k) float32, where it is given, stands at the end of every observation of its episode.
     """
-    alive = np.ones(len(s), dtype=bool)
+    began, alive = time.monotonic(), np.ones(len(s), dtype=bool)
     kept = alive.copy()
     steps = []
     for _ in range(task.horizon):
@@ -110,6 +113,7 @@ def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray, phi_seen: n
         successes=task.solved(success),
         kept=kept,
         steps=int(np.sum(lives)),
+        seconds=time.monotonic() - began,
     )
 
 

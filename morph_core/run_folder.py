@@ -252,7 +252,7 @@ def find_run(runs: Path, run_id: str) -> RunFolder:
     if not RUN_ID.fullmatch(run_id):
         raise RunFolderError(f"{run_id[:80]!r} is no run name: letters, digits, dot, dash and underscore, at most 128")
     path = runs / run_id
-    if not path.is_dir() or path.resolve().parent != runs.resolve():
+    if not path.is_dir() or (path.is_symlink() and path.resolve().parent != runs.resolve()):
         raise RunFolderError(f'unknown run "{run_id}"; choose from: {", ".join(list_runs(runs)[-8:]) or "none yet"}')
     return RunFolder(path)
 
@@ -279,13 +279,13 @@ def _entries(runs: Path) -> list[os.DirEntry[str]]:
     """Return what is in a folder of runs, but for what is hidden and the report of a study."""
     try:
         with os.scandir(runs) as found:
-            return [e for e in found if not e.name.startswith(".") and not _is_report(runs / e.name)]
+            return [e for e in found if not e.name.startswith(".") and not (e.name == REPORT and _is_study(runs))]
     except OSError:
         return []
 
 
-def _is_report(path: Path) -> bool:
-    return path.name == REPORT and (path.parent / STUDY).exists()
+def _is_study(runs: Path) -> bool:
+    return (runs / STUDY).exists()
 
 
 def create_run(runs: Path, record: RunRecord, files: Mapping[str, bytes] | None = None) -> RunFolder:

@@ -60,6 +60,8 @@ class State:
     """The iteration after which policy and critic last started afresh."""
     last_reached: int = 0
     """The last iteration in which episodes reached the first milestone of the task."""
+    collected_in: float = 0.0
+    """Time that the trajectories of the last iteration took, in seconds; no checkpoint holds it."""
 
     @property
     def hw_nn(self) -> HwNN:
@@ -114,6 +116,7 @@ class State:
         self.iteration = iteration
         self.env_steps += rollout.steps
         self.diverged += rollout.diverged
+        self.collected_in = rollout.seconds
         reached = rollout.success_rate if success is None else success
         self.frozen = self.frozen or 0 < freeze_success <= reached
         return Progress(

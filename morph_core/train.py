@@ -45,7 +45,16 @@ from morph_core.protocol import (
     Status,
 )
 from morph_core.rollout import Rollout
-from morph_core.run_folder import EventLog, HeartbeatFile, HeldError, RunFolder, RunFolderError, hold, write_episode
+from morph_core.run_folder import (
+    SAID_ENDED,
+    EventLog,
+    HeartbeatFile,
+    HeldError,
+    RunFolder,
+    RunFolderError,
+    hold,
+    write_episode,
+)
 from morph_core.state import State
 from morph_core.task import Task
 from morph_core.undo import edits_since, take_back, unruly_alpha
@@ -55,6 +64,7 @@ HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
 PAUSED = "it keeps its core, on a cluster too: Resume goes on, Stop saves and frees the core"
+_LEARNING = "collecting and learning"
 LAST_ITERATION = 10**9
 """Largest number of iterations that a trainer can be asked for."""
 SHOWN_DESIGNS = 64
@@ -82,6 +92,8 @@ class Trainer:
         self._last = history.iteration + further if further is not None else until or self._record.iterations
         self._budget = None if (further or until) is not None else self._record.env_steps
         self._longest_iteration = 1  # environment steps
+        self._method: Method | None = None
+        self._searches, self._collected_in = True, 0.0
         self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
         self._best: Evaluation | None = None
@@ -102,14 +114,18 @@ class Trainer:
         method.check(task)
         self._longest_iteration = method.trajectories * task.horizon
         state = self._load(task, method)
+        self._method = method
         if not self._is_done(state):
-            self._enter("running", "learning" if state.fitted else "fitting the proxy")
+            self._enter("running", "fitting the proxy" if state.proxy and not state.fitted else _LEARNING)
             self._between_iterations(state)
         if not self._is_done(state) and not self._stopping:
+            method.prepare(task, state)  # no part of an iteration: what others take is not known from it
+            self._set("running", _LEARNING)
             began, steps = time.monotonic(), state.env_steps
             for progress in method.iterations(task, state):
+                searched = method.search_interval > 1 and progress.search_cost is not None
+                self._pace.took(time.monotonic() - began, state.env_steps - steps, searched)
                 self._take_in(task, method, state, progress)
-                self._pace.took(time.monotonic() - began, state.env_steps - steps)
                 self._between_iterations(state)
                 if self._stopping or self._is_done(state):
                     break
@@ -153,7 +169,7 @@ class Trainer:
             host=platform.node(), pid=os.getpid(), process_started=self._process_started,
             time=time.time(), status=self._status, stage=self._stage, message=self._message,
             iteration=self._iteration, iterations=self._iteration + remaining,
-            env_steps=self._env_steps, eta_seconds=self._pace.left(remaining),
+            env_steps=self._env_steps, eta_seconds=self._seconds_left(remaining),
         )  # fmt: skip
         if self._heartbeat is not None:
             with contextlib.suppress(OSError):
@@ -183,6 +199,19 @@ class Trainer:
             return remaining
         steps = self._pace.env_steps or self._longest_iteration
         return min(remaining, math.ceil(max(0, self._budget - self._env_steps) / max(1.0, steps)))
+
+    def _seconds_left(self, remaining: int) -> float | None:
+        """Return the seconds that so many iterations will take, with the searches and evaluations among them."""
+        if self._method is None or self._status in SAID_ENDED:
+            return None
+        evaluation, every = self._method.evaluation, self._method.search_interval
+        first, last = self._iteration, self._iteration + remaining
+        searches = last // every - first // every if every > 1 and self._searches else 0
+        evaluations = last // evaluation.interval - first // evaluation.interval
+        evaluations += remaining > 0 and last % evaluation.interval > 0  # each run ends with one
+        at_the_end = self._record.final_episodes / evaluation.episodes
+        expected = 2 * evaluation.episodes / self._method.trajectories * self._collected_in
+        return self._pace.left(remaining, searches, evaluations + at_the_end, expected)
 
     # --- one iteration ---
 
@@ -244,18 +273,21 @@ class Trainer:
         if not all_finite(state) or not np.isfinite(progress.episode_return):
             raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
         self._iteration, self._env_steps = state.iteration, state.env_steps
+        self._searches, self._collected_in = not state.frozen, state.collected_in
         progress = msgspec.structs.replace(
             progress, relabelled_steps=state.relabelled_steps, search_steps=state.search_steps,
             diverged=state.diverged, cpu_seconds=self._cpu_seconds,
         )  # fmt: skip
         self._write(progress)
         if progress.iteration % method.evaluation.interval == 0 or self._is_done(state):
+            began = time.monotonic()
             self._set("running", "evaluating")
             self._evaluate(task, method, state)
             self._set("running", "saving")
             self._checkpoint(state)
             tidy(self._folder, method.evaluation.interval, self._best.iteration if self._best else None)
-        self._set("running", "collecting and learning")
+            self._pace.evaluated(time.monotonic() - began)
+        self._set("running", _LEARNING)
 
     def _evaluate(self, task: Task, method: Method, state: State) -> None:
         # Its own random numbers, so that what is learnt does not depend on how often it is evaluated.
@@ -320,7 +352,7 @@ class Trainer:
             time.sleep(POLL_SECONDS)
             self._obey(state)
         self._step = False
-        self._enter("running", "collecting and learning")
+        self._enter("running", _LEARNING)
 
     def _obey(self, state: State) -> None:
         for path, order in self._folder.pending():

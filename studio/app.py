@@ -34,6 +34,7 @@ from studio.api.docs import docs_router
 from studio.api.events import events_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.news import news_router
+from studio.api.recorded import recorded_router
 from studio.api.runs import runs_router
 from studio.api.shelf import shelf_router
 from studio.api.study import study_router
@@ -142,6 +143,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
             family=lambda run_id: tree_of(run_id, runs.parents()),
             album=album,
             others=runs,
+            recordings=runs.recordings,
         )
         if 0 < client.camera.image_width < NARROW_PAGE:
             viewer.playback.panel.minimize()  # with the column in which it stands
@@ -229,6 +231,7 @@ def create_app(
     for router in (
         tasks_router(),
         runs_router(watched),
+        recorded_router(watched.recordings),
         designs_router(watched, build_bundle),
         imports_router(watched),
         compare_router(watched),
@@ -339,10 +342,12 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
     name = f"[{settings.host}]" if ":" in settings.host else settings.host
     address = f"http://{name}:{listener.getsockname()[1]}{settings.root_path}/"
 
+    mode = "&present=1" if settings.present else ""
+
     def announce() -> None:
-        link = f"{address}?token={access.ticket}"
+        link = f"{address}?token={access.ticket}{mode}"
         # A given token stays out of a platform's and a proxy's logs; its owner knows it.
-        shown = link if settings.token is None else f"{address}?token=..."
+        shown = link if settings.token is None else f"{address}?token=...{mode}"
         print(f"MORPH Studio: {shown}", flush=True)  # noqa: T201
         if settings.audience:
             print(f"for an audience, who can only look: {address}{audience.open().link}", flush=True)  # noqa: T201
@@ -350,7 +355,7 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
             threading.Thread(target=open_in_browser, args=(link,), daemon=True).start()
 
     access.on_ticket_used = lambda: print(  # noqa: T201
-        f"link used; for another browser: {address}?token={access.ticket}", flush=True
+        f"link used; for another browser: {address}?token={access.ticket}{mode}", flush=True
     )
     config = uvicorn.Config(
         app,

@@ -73,7 +73,7 @@ class Desks:
             try:
                 begin, desk.begin = desk.begin, None
                 if begin is not None:
-                    viewer.put_back(begin if begin.run else View(run=current, ticks=begin.ticks))
+                    viewer.put_back(begin if begin.run else msgspec.structs.replace(begin, run=current, iteration=None))
                 viewer.show(histories, statuses)
             except Exception:  # one browser's trouble is not another's
                 log.exception("showing the runs to browser %s failed", desk.client.client_id)

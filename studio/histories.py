@@ -10,6 +10,7 @@ from morph_core.protocol import AnyEvent
 from morph_core.pulse import Pulse
 from morph_core.run_folder import RunFolder, RunFolderError, find_run
 from studio.inquest import Inquest
+from studio.recordings import Recordings
 from studio.shelf.outcome import landmarks
 
 KEPT = 40
@@ -23,9 +24,11 @@ _FILES = ("run.json", "events.jsonl", "heartbeat.json")
 class Histories:
     """The histories of the runs of one folder. It is thread-safe, and every reading is fresh from the folder."""
 
-    def __init__(self, runs: Path, inquest: Inquest) -> None:
-        """Read the runs of the folder `runs`, and let `inquest` look at the trainer of each that is read."""
+    def __init__(self, runs: Path, inquest: Inquest, recordings: Recordings) -> None:
+        """Read the runs of the folder `runs` and the recorded ones, and let `inquest` look at the trainer of each that
+        is read."""
         self._runs = runs
+        self._recordings = recordings
         self._inquest = inquest
         self._lock = threading.Lock()  # of the tables here: nothing is read while it is held
         self._turns: dict[str, threading.RLock] = {}
@@ -41,9 +44,15 @@ class Histories:
         """Return the lock under which one run is read, so that a slow or strange one keeps no other waiting."""
         return self._turns.setdefault(run_id, threading.RLock())
 
+    def find(self, run_id: str) -> RunFolder:
+        """Return a run of the folder, or a recorded one; raise RunFolderError if there is no such run."""
+        if run_id in self._recordings and not (self._runs / run_id).exists():
+            return self._recordings.get(run_id).history.folder
+        return find_run(self._runs, run_id)
+
     def get(self, run_id: str) -> History:
         """Return the run as it is now; raise RunFolderError if it is unknown or unreadable."""
-        folder = find_run(self._runs, run_id)
+        folder = self.find(run_id)
         with self.turn(run_id):
             history = self._tail(folder)
             self._inquest.look(history)

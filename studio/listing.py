@@ -1,7 +1,7 @@
 """The runs of one folder as they are listed: a line for each, what each has come to, and what people have noted."""
 
 import contextlib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import msgspec
@@ -37,10 +37,10 @@ class Listing:
         """Return the names of all runs, newest first."""
         return list_runs(self._runs)[::-1]
 
-    def line(self, folder: RunFolder) -> Summary:
-        """Return the line of a run, whatever its state."""
+    def line(self, folder: RunFolder, places: Mapping[str, int] | None = None) -> Summary:
+        """Return the line of a run, whatever its state; `places` in the queue are looked up unless they are given."""
         try:
-            line = self._line(folder)
+            line = self._line(folder, self._statuses.places() if places is None else places)
         except Exception as error:  # whatever is wrong with one run, the others are listed
             reason = str(error) if isinstance(error, RunFolderError) else f"{folder.id} can't be read: {error!r}"
             line = Summary(id=folder.id, status="unreadable", reason=reason[:LONGEST_REASON])
@@ -109,21 +109,22 @@ class Listing:
 
     def _lines(self, names: Collection[str] | None) -> list[Summary]:
         folders = [RunFolder(self._runs / run) for run in self.ids() if names is None or run in names]
-        lines = [self.line(folder) for folder in folders]
+        places = self._statuses.places()
+        lines = [self.line(folder, places) for folder in folders]
         found = [line for line in lines if line.status != "unreadable" or (self._runs / line.id).exists()]  # not gone
         refused = sorted((name, why) for name, why in passed_over(self._runs).items() if names is None or name in names)
         return found + [Summary(id=name, status="unreadable", reason=why) for name, why in refused]
 
-    def _line(self, folder: RunFolder) -> Summary:
+    def _line(self, folder: RunFolder, places: Mapping[str, int]) -> Summary:
         stamp, is_watched = stamp_of(folder), self._inquest.concerns(folder.id)
         known = None if is_watched else self._at_rest(folder, stamp)
         if known:
-            status, reason = self._statuses.in_queue(folder, known.status, known.reason)
+            status, reason = self._statuses.in_queue(folder, known.status, known.reason, places)
             return msgspec.structs.replace(known, status=status, reason=reason)
         history = self._histories.get(folder.id)
         if not is_watched and history.heartbeat and history.status in AT_REST:  # as long as no heartbeat comes
             self._keep(folder, stamp, line_of(history, history.status, history.message))
-        return line_of(history, *self._statuses.of(history))
+        return line_of(history, *self._statuses.of(history, places))
 
     def _at_rest(self, folder: RunFolder, stamp: Stamp) -> Summary | None:
         """Return the line of a run at rest, as its folder alone has it, unless that takes reading the whole log."""

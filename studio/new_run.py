@@ -84,6 +84,20 @@ class StartRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Yes to a run of which an iteration may take longer than ten minutes."""
 
 
+def again(record: RunRecord) -> StartRun:
+    """Return the wish for a run once again: with its settings, its seed, and what it began with."""
+    return StartRun(
+        task=record.task,
+        method=record.method,
+        seed=record.seed,
+        iterations=record.iterations if record.env_steps is None else None,
+        settings=record.config,
+        task_options=record.task_options,
+        parameters=record.parameters,
+        env_steps=record.env_steps,
+    )
+
+
 def prepare_run(runs: Path, wish: StartRun) -> RunFolder:
     """Create the folder of a new run, as `record_of` has it, under a name that is free.
 

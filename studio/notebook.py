@@ -1,7 +1,7 @@
 """Runs, designs and studies in a notebook: each shows itself there, and draws, runs or exports what it holds.
 
-A run is trained by `train("reacher", iterations=60)` or opened by `open_run("runs/20260101-120000-reacher-morph-s0")`;
-`run.plot()` draws its curves, and `run.design("best").view()` shows its best design.
+`train("reacher")` or `open_run(NAME)` is a run; `run.plot()` draws its curves, `run.design("best").view()` shows a
+design, live where it can be.
 """
 
 import contextlib

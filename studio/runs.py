@@ -14,7 +14,7 @@ from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, Evaluation, Kill, Parent, Resume, RunRecord, Status, Stop
 from morph_core.pulse import at_work
-from morph_core.run_folder import RunFolder, RunFolderError, find_run
+from morph_core.run_folder import RunFolder, RunFolderError
 from studio import limits
 from studio.commands import check_command
 from studio.cost import cost_of
@@ -25,6 +25,7 @@ from studio.lines import AT_REST, HAS_TRAINER, Row, Summary
 from studio.listing import Listing
 from studio.new_run import StartRun, prepare_run
 from studio.overdue import forget_stops
+from studio.recordings import Recordings
 from studio.shelf import trash
 from studio.shelf.marks import Marks, MarksChange, changed, read_marks, with_star, write_marks
 from studio.shelf.outcome import Outcome
@@ -50,12 +51,15 @@ class Runs:
         spawn: Callable[..., subprocess.Popen[bytes]] = spawn_trainer,
         launcher: Slurm | None = None,
         trainers: int | None = None,
+        recordings: Recordings | None = None,
     ) -> None:
         """Take the runs of `folder`. New ones are started by `launcher`, by default as processes of this machine.
 
         While `trainers` are at work on this machine, whoever has started them, further runs wait; None lets none wait.
+        The `recordings`, by default those that come with the studio, are opened like runs, but never listed as such.
         """
         self.folder = folder
+        self.recordings = recordings or Recordings()
         self.shown: str | None = None
         """The run that a browser opens which has chosen none; None for the start panel."""
         self._asked: tuple[str, int | None] | None = None
@@ -63,7 +67,7 @@ class Runs:
         self._slurm = launcher or Slurm()
         self._waiting = Waiting(folder)
         self._inquest = Inquest()
-        self._histories = Histories(folder, self._inquest)
+        self._histories = Histories(folder, self._inquest, self.recordings)
         self._statuses = Statuses(folder, self._histories, self._inquest, self._waiting, self._slurm, trainers)
         self._listing = Listing(folder, self._histories, self._statuses, self._inquest)
         self._crew = Crew(folder, self._histories, self._inquest, self._waiting, self._has_trainer, spawn, trainers)
@@ -84,7 +88,7 @@ class Runs:
 
     def summary(self, run_id: str) -> Summary:
         """Return one line about a run, whatever its state; raise RunFolderError only if there is no such run."""
-        return self._listing.line(find_run(self.folder, run_id))
+        return self._listing.line(self._histories.find(run_id))
 
     def summaries(self, names: Collection[str] | None = None) -> list[Summary]:
         """Return all runs, newest first, and at the end the folders that are none but seem to be meant as such.
@@ -103,22 +107,22 @@ class Runs:
 
     def row(self, run_id: str) -> Row:
         """Return one run with what it has come to; raise RunFolderError if there is no such run."""
-        return self._listing.row(self.summary(run_id))
+        return Row(**msgspec.structs.asdict(self.summary(run_id)), outcome=self.outcome(run_id))
 
     def outcome(self, run_id: str) -> Outcome:
         """Return what a run has come to, nothing where its log is not there; RunFolderError if there is no such run."""
-        return self._listing.outcome(find_run(self.folder, run_id))
+        return self._listing.outcome(self._histories.find(run_id))
 
     def design(self, run_id: str, which: str) -> tuple[RunRecord, list[float]]:
         """Return a run's record and phi of "best", "latest" or an iteration; raise RunFolderError if there is none."""
         if which == "best" and (best := self.outcome(run_id).best):  # known without reading the whole run
-            return find_run(self.folder, run_id).record(), best.phi
+            return self._histories.find(run_id).record(), best.phi
         history = self.get(run_id)
         return history.record, history.design(which)[1].tolist()
 
     def evaluations(self, run_id: str) -> tuple[RunRecord, list[Evaluation]]:
         """Return a run's record and its evaluations; raise RunFolderError if there is no such run."""
-        folder = find_run(self.folder, run_id)
+        folder = self._histories.find(run_id)
         return folder.record(), self._listing.evaluations(folder)
 
     def marks(self, folder: RunFolder) -> Marks:
@@ -138,7 +142,8 @@ class Runs:
         names = self.ids()
         wanted = {*names[:WATCHED], *self._inquest.children, self.shown, *selected}
         histories = {}
-        for name in names:
+        recorded = [name for name in wanted.difference(names) if name in self.recordings]
+        for name in (*names, *recorded):
             if name in wanted:
                 with suppress(RunFolderError):
                     histories[name] = self.get(name)
@@ -167,7 +172,7 @@ class Runs:
 
     def mark(self, run_id: str, change: MarksChange) -> Marks:
         """Change what is noted about a run. Raise ValueError, nothing changed, if it is too long or unreadable."""
-        folder = find_run(self.folder, run_id)
+        folder = self._own(run_id, "marked")
         with self._histories.turn(run_id):
             marks = changed(read_marks(folder.path), change)
             write_marks(folder.path, marks)
@@ -178,8 +183,8 @@ class Runs:
 
         Raise ValueError, nothing changed, if too many are starred.
         """
+        folder = self._own(run_id, "marked")
         iteration, _ = self.get(run_id).design(design)
-        folder = find_run(self.folder, run_id)
         with self._histories.turn(run_id):
             marks = with_star(read_marks(folder.path), iteration, starred)
             write_marks(folder.path, marks)
@@ -187,7 +192,7 @@ class Runs:
 
     def discard(self, run_id: str) -> Trashed:
         """Move a run into the trash. Raise ValueError if a trainer is at work on it, or it waits for one."""
-        folder = find_run(self.folder, run_id)
+        folder = self._own(run_id, "deleted")
         with self._histories.turn(run_id):
             status = self.summary(run_id).status
             if status not in AT_REST:
@@ -214,6 +219,8 @@ class Runs:
 
         Raise ValueError if it is not allowed, or the cluster refuses it; then there is no such run.
         """
+        if wish.branch:
+            self._own(wish.branch.run, "branched from")
         folder = prepare_run(self.folder, wish)
         self._statuses.costs[folder.id] = cost_of(folder.record())
         if self._launcher:
@@ -239,7 +246,7 @@ class Runs:
         """
         if further is not None:
             further = limits.iterations(further, "further")
-        folder = find_run(self.folder, run_id)
+        folder = self._own(run_id, "resumed")
         watched = not self.get(run_id).pulse.is_alive and at_work(folder.heartbeat)  # before it is anybody's turn
         with self._crew.starting, self._histories.turn(run_id):
             history = self.get(run_id)
@@ -271,6 +278,7 @@ class Runs:
         Kill ends its trainer, and Stop takes a run that waits out of the queue; that no trainer acknowledges: the id
         is 0.
         """
+        self._own(run_id, "steered")
         history = self.get(run_id)
         if isinstance(command, Kill | Stop) and self._waiting.take(run_id):
             inside.touch(history.folder.path, CANCELLED)
@@ -292,6 +300,13 @@ class Runs:
             self._slurm.cancel(self.folder, [run_id])
             return 0
         return history.folder.send(command, sender)
+
+    def _own(self, run_id: str, what: str) -> RunFolder:
+        """Return a run of the folder; ValueError for a recorded one, which can't be asked for `what`."""
+        folder = self._histories.find(run_id)
+        if folder.path.parent != self.folder:
+            self.recordings.refuse(run_id, what)
+        return folder
 
     def _with_current(self, lines: Sequence[L]) -> list[L]:
         """Return lines of which one says that browsers open it which have chosen no run."""

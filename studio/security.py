@@ -223,8 +223,12 @@ class Guard:
     def _enter(
         self, scope: Scope, path: str, cookie_name: str, cookie: str, samesite: Literal["lax", "strict"]
     ) -> Response:
-        """Return the cookie and the way to the page, relative: proxies cut off a prefix, or put one before it."""
-        response = RedirectResponse(f".{path}", 303)
+        """Return the cookie and the way to the page, relative: proxies cut off a prefix, or put one before it.
+
+        Of a link's other words only that the page begins in presenter's mode is kept.
+        """
+        presents = "present" in parse_qs(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+        response = RedirectResponse(f".{path}{'?present=1' if presents else ''}", 303)
         response.set_cookie(cookie_name, cookie, httponly=True, samesite=samesite, secure=scope["scheme"] == "https")
         return response
 

@@ -96,6 +96,8 @@ class Settings:
     """Whether to open the page in the browser once the server is up."""
     audience: bool = False
     """Whether to make and print a link for spectators, who can only look, once the server is up."""
+    present: bool = False
+    """Whether the printed link leads into presenter's mode."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "root_path", check_prefix(self.root_path))

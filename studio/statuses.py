@@ -1,5 +1,6 @@
 """What runs do and why, from all that know it: their folders, those who saw a trainer die, the queue, and Slurm."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from morph_core.history import History
@@ -33,11 +34,14 @@ class Statuses:
         self.costs: dict[str, str] = {}
         """What an iteration of the runs that were started here takes, in words."""
 
-    def of(self, history: History) -> tuple[Status, str]:
-        """Return what a run does and why, including what only a witness of its trainer's death can know."""
+    def of(self, history: History, places: Mapping[str, int] | None = None) -> tuple[Status, str]:
+        """Return what a run does and why, including what only a witness of its trainer's death can know.
+
+        `places` in the queue are looked up unless they are given.
+        """
         folder = history.folder
         with self._histories.turn(folder.id):
-            status, reason = self.in_queue(folder, *self._inquest.status(history))
+            status, reason = self.in_queue(folder, *self._inquest.status(history), places)
         if status == "starting" and folder.id in self.costs:
             reason = f"{reason}; an iteration takes {self.costs[folder.id]}"
         if status in HAS_TRAINER and kill_is_offered(folder):
@@ -48,9 +52,19 @@ class Statuses:
             )
         return status, reason
 
-    def in_queue(self, folder: RunFolder, status: Status, reason: str) -> tuple[Status, str]:
-        """Return what a run does and why, with what the queue, or Slurm, says of it where its folder can't tell."""
-        if status not in ("running", "pausing", "paused") and (place := self._waiting.place(folder.id)):
+    def places(self) -> Mapping[str, int]:
+        """Return the place of each run that waits for a trainer, from 1 on."""
+        return self._waiting.places()
+
+    def in_queue(
+        self, folder: RunFolder, status: Status, reason: str, places: Mapping[str, int] | None = None
+    ) -> tuple[Status, str]:
+        """Return what a run does and why, with what the queue, or Slurm, says of it where its folder can't tell.
+
+        `places` in the queue are looked up unless they are given.
+        """
+        waits = self.places() if places is None else places
+        if status not in ("running", "pausing", "paused") and (place := waits.get(folder.id)):
             full = "one trainer is" if self._trainers == 1 else f"{self._trainers or 'enough'} trainers are"
             return "queued", f"number {place} in the queue: {full} at work already"
         if status == "lost" and (folder.path / CANCELLED).exists() and not folder.read_events()[0]:

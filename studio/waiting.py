@@ -61,9 +61,13 @@ class Waiting:
         """Return what waits, in order."""
         return list(self._all().values())
 
+    def places(self) -> dict[str, int]:
+        """Return the place of each run that waits, from 1 on."""
+        return {wait.run: place for place, wait in reversed([*enumerate(self._all().values(), 1)])}
+
     def place(self, run: str) -> int:
         """Return the place of a run in the queue, from 1 on; 0 where it does not wait."""
-        return next((place for place, wait in enumerate(self._all().values(), 1) if wait.run == run), 0)
+        return self.places().get(run, 0)
 
     def _names(self) -> list[str]:
         try:

@@ -713,9 +713,14 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         f"{CORE}/pace.py", "core/test_pace.py",
-        ("self._taken[1:] or self._taken", "self._taken"),
-        ("self._taken[-_WINDOW:]", "self._taken"),
-        ("seconds * iterations", "seconds"),
+        ("_mean(self._plain) or self._first", "self._first"),
+        ("if self._first is None:\n            self._first = seconds\n        elif searched:",
+         "self._first = self._first or seconds\n        if searched:"),
+        ("values[1 - most :]", "values"),
+        ("elif searched:", "elif False:"),
+        ("(iterations - searches)", "iterations"),
+        ("_mean(self._evaluated) or expected", "_mean(self._evaluated) or 0.0"),
+        ("_mean(self._evaluated) or expected", "expected"),
     ),
     *_of(
         f"{CORE}/train.py", "core/test_steered.py",

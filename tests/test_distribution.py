@@ -68,6 +68,8 @@ def test_wheel_editable_install_and_checkout_find_the_meshes(tmp_path: Path) -> 
     assert {
         f"studio/show/vendor/{name}" for name in ("mujoco.wasm.gz", "mujoco.js", "three.js", "LICENSES.txt")
     } < names
+    recorded = (ROOT / "studio" / "recorded").rglob("*.*")
+    assert {path.relative_to(ROOT).as_posix() for path in recorded} <= names
     folders = [name.split("/")[0] for name in names if "/" in name]
     assert {folder for folder in folders if not folder.endswith(".dist-info")} == {"morph_core", "studio"}
     installed = _environment(tmp_path / "installed")

@@ -67,5 +67,12 @@ class Morph(Method):
     def rules(self) -> str:
         return f"z explored by {self.exploration.name}, φ searched by {self.search.name}, projection {self.projection}"
 
+    @property
+    def search_interval(self) -> int:
+        return self.design_interval
+
+    def prepare(self, task: Task, state: "State") -> None:
+        state.fit_proxy(task)
+
     def iterations(self, task: Task, state: "State") -> Iterator[Progress]:
         return morph(task, self, state)

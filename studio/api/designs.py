@@ -46,7 +46,7 @@ Printer = Annotated[
 OtherPhi = Annotated[list[float] | None, Query(description="All values of another design in its place; repeated")]
 Servo = Annotated[
     str | None,
-    Query(description=f"Servo with which what the policy needs is compared, in 256 episodes: {', '.join(SERVOS)}"),
+    Query(description=f"Servo with which what the policy needs in 256 episodes is compared: {', '.join(SERVOS)}"),
 ]
 WhichEpisode = Annotated[
     Which | None,

@@ -16,6 +16,7 @@ from studio.lines import Row, Summary
 from studio.log import LogEntry
 from studio.moments import Moment
 from studio.new_run import Number, StartRun
+from studio.recordings import Origin
 from studio.shelf.marks import Marks, MarksChange
 from studio.shelf.traces import Overlay
 from studio.shelf.trash import Trashed
@@ -201,6 +202,21 @@ class Health(msgspec.Struct, frozen=True):
     boot: str
 
 
+class RecordedRun(msgspec.Struct, frozen=True, kw_only=True):
+    """A recorded run that comes with the studio; only `run` and `problem` are there where it can't be read."""
+
+    run: str
+    """Name under which it is opened like any run."""
+    task: str = ""
+    method: str = ""
+    seed: int | None = None
+    label: str = ""
+    """Words that stand wherever the run is seen."""
+    origin: Origin | None = None
+    """Where it comes from, and how it was chosen."""
+    problem: str = ""
+
+
 class Refusal(msgspec.Struct, frozen=True):
     """Answer to a request that is refused: a sentence that says what is allowed."""
 
@@ -245,7 +261,7 @@ def versioned(answer: Response, known: str | None) -> Response:
 _KINDS = (
     StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Moment, Metrics, Designs, Checked, Health,
     Refusal, AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
-    View, Seen, Bulletin, AudienceState, Invite, Follow,
+    View, Seen, Bulletin, RecordedRun, AudienceState, Invite, Follow,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

@@ -32,8 +32,7 @@ class ExportArguments(RunsArguments):
     """Formats to write; without it, all but step, which needs build123d, ros, a ROS 2 package, and ros2_control, which
     adds servos to the URDF."""
     servo: Annotated[str | None, tyro.conf.arg(metavar="|".join(SERVOS))] = None
-    """Real servo for the joints of a hand: what the policy needs of it is measured in 256 episodes, which takes longer.
-    Without it, 32 episodes choose one."""
+    """Real servo with which what the policy needs of a hand's joints is compared; without it, the need chooses one."""
     printer: Annotated[str | None, tyro.conf.arg(metavar="NAME|XxYxZ")] = None
     """Printer that must be able to print every part, by name or size in mm; without it, 256x256x256, and parts that are
     too large are named."""

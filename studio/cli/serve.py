@@ -34,6 +34,8 @@ class ServeArguments(RunsArguments):
     audience: bool = False
     """Print a second link, for an audience: whoever opens it sees what the first browser shows, and can only look. The
     page makes such a link too, and ends it."""
+    present: bool = False
+    """Begin in presenter's mode: large words over the scene, no panels; Enter trains live, Esc leaves it."""
     launcher: Literal["local", "slurm"] = "local"
     """Where the trainers of new runs start: on this machine, or on a cluster through Slurm."""
     slurm: tyro.conf.OmitArgPrefixes[SlurmOptions] = SlurmOptions()
@@ -53,6 +55,7 @@ def main(words: Sequence[str]) -> int:
             root_path=arguments.root_path,
             open_browser=not arguments.no_browser,
             audience=arguments.audience,
+            present=arguments.present,
             **given,
         )
         launcher = make_launcher(arguments.launcher, options=arguments.slurm)

@@ -54,8 +54,9 @@ MESH_FORMATS = ("stl", "3mf", "glb", "step")
 """Formats that are made of parts."""
 BY_HAND = "changed by hand"
 """Words behind the name of a design that no run has recorded."""
-EPISODES = 32
-"""Number of episodes that measure the policy's success on the exported files, for which an export may take 3 s."""
+EPISODES = 256
+"""Number of episodes that measure the policy's success on the exported files, and what it needs of servos: 32 of them
+miss peaks, and more would make an export wait."""
 _POINTS = 200
 """Random points of each link at which the distance between print and collision shapes is measured."""
 _SHIPPED = Path(__file__).parent / "shipped"
@@ -84,8 +85,8 @@ def build_bundle(
     """Return the design `which`: "best", "latest" or an iteration; `phi`, where it is given, takes its place.
 
     The files are read back and compared with the simulated robot first. Raise ExportError with what disagrees, or
-    with what is allowed. Where a `servo` is named, what the policy needs is measured in 256 episodes and compared with
-    it; without one, the episodes that prove the policy choose a servo of the table. A `printer` that is asked for, by
+    with what is allowed. What the policy needs is measured in the episodes that prove it, and compared with the `servo`
+    that is named, or with one of the table that these episodes choose. A `printer` that is asked for, by
     name or size, must be able to print every part; parts that are too large for the default one are named.
     """
     files, checks = _build(history, which, formats, None if phi is None else np.array(phi, float), servo, printer)
@@ -139,8 +140,8 @@ def _build(
         if onnx_policy.is_available():
             files[onnx_policy.FILE] = onnx_policy.onnx_file(policy, program, _facts(task, history, iteration))
             checks.append(check_onnx(files, task, phi))
-        recorder, episodes = Recorder(), EPISODES if wanted is None else servos.EPISODES
-        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), episodes, recorder)
+        recorder = Recorder()
+        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), EPISODES, recorder)
         table = compared_servos(recorder, task, phi, wanted)
         checks += compared
         scores = [*([msgspec.structs.replace(found, where="at export")] if found else []),

@@ -18,8 +18,6 @@ from studio.export.servo_plot import Bar, servo_plot
 from studio.robots.chooser import robot_of
 
 FILE = "servos.json"
-EPISODES = 256
-"""Number of episodes in which the need is measured for a servo that was asked for."""
 _RED, _AMBER = "background:rgba(220,38,38,.22)", "background:rgba(217,119,6,.2)"
 _ROUNDING = 1e-9
 """Share by which a torque may exceed a limit: one that was simulated equals it."""

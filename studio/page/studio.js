@@ -17,6 +17,7 @@ const has3d = Boolean(document.createElement("canvas").getContext("webgl2"));
 let boot = null;
 let mark = null; // of the last news, by which the server knows what this page has
 const runs = new Map(); // id -> its line of the list, in the order of the list
+const recorded = new Map(); // id -> what is known of a recorded run, which comes with the studio and is nobody's own
 let reachable = true;
 let dismissed = "";
 let choosing = 0;
@@ -32,6 +33,7 @@ let view = {
   run: address.get("run"),
   iteration: /^\d{1,6}$/.test(address.get("iteration") ?? "") ? Number(address.get("iteration")) : null,
   ticks: remembered("morph-ticks") ?? {},
+  presents: address.has("present"),
 };
 
 function remembered(name) {
@@ -49,11 +51,12 @@ async function putView(wanted) {
 }
 
 function keepView(seen) {
-  view = { run: seen.run, iteration: seen.iteration, ticks: { ...view.ticks, ...seen.ticks } };
+  view = { run: seen.run, iteration: seen.iteration, ticks: { ...view.ticks, ...seen.ticks }, presents: seen.presents };
   localStorage.setItem("morph-ticks", JSON.stringify(view.ticks));
   const query = new URLSearchParams();
   if (view.run !== null) query.set("run", view.run);
   if (view.iteration !== null) query.set("iteration", view.iteration);
+  if (view.presents) query.set("present", "1");
   const wanted = query.size ? `?${query}` : "";
   if (wanted !== location.search) history.replaceState(null, "", location.pathname + wanted);
 }
@@ -149,6 +152,12 @@ document.addEventListener("keydown", (event) => {
   focusViewer();
 });
 
+// In presenter's mode there is nothing beside the scene but the words of this page: see #caption in its style.
+const SCENE = "[data-dock-root] > :has(canvas):not([data-dock-region])";
+const ALONE = `:root[data-presents] :is([data-dock-root] > :not(:has(canvas)), [data-dock-region], #root .mantine-Paper-root) { display: none !important; }
+:root[data-presents] ${SCENE} { inset: 0 0 0 38% !important; }
+@media (max-aspect-ratio: 1/1) { :root[data-presents] ${SCENE} { inset: 0 0 38% 0 !important; } }`;
+
 // Of viser's own colours, those on which or with which words are too pale to be read.
 const READABLE = `:root[data-mantine-color-scheme="light"] {
   --mantine-color-dimmed: #5b6570 !important; --mantine-color-gray-filled: #5b6570 !important;
@@ -163,7 +172,7 @@ const READABLE = `:root[data-mantine-color-scheme="light"] {
 
 viewer.addEventListener("load", () => {
   const style = viewer.contentDocument.createElement("style");
-  style.textContent = READABLE;
+  style.textContent = READABLE + ALONE;
   viewer.contentDocument.head.append(style);
   viewer.contentDocument.addEventListener("keydown", hearHelp);
   // An arrow moves the slider that has the focus, and not the timeline too.
@@ -206,12 +215,16 @@ function listRuns(current) {
   const prompt = runs.size ? "a new run" : "no runs yet";
   const options = [...runs.values()].map((run) => option(run.id, `${run.id}  ·  ${run.status}`, run.reason, run.status === "unreadable"));
   if (!current) options.unshift(option("", view.run ? `${view.run}  ·  gone` : prompt, "", true));
-  const signature = options.map((o) => o.textContent).join("\n");
+  const shipped = [...recorded.values()].map((each) => option(each.run, `${each.run}  ·  ${each.label}`, each.problem, Boolean(each.problem)));
+  const signature = [...options, ...shipped].map((o) => o.textContent).join("\n");
   if (chooser.dataset.signature !== signature) {
-    chooser.replaceChildren(...options);
+    const group = document.createElement("optgroup");
+    group.label = "Recorded, comes with the studio";
+    group.append(...shipped);
+    chooser.replaceChildren(...options, ...(shipped.length ? [group] : []));
     chooser.dataset.signature = signature;
   }
-  chooser.disabled = runs.size === 0;
+  chooser.disabled = runs.size + recorded.size === 0;
   chooser.value = current ? current.id : "";
 }
 
@@ -299,11 +312,12 @@ async function look(wait = 0) {
     }
     const restarted = boot !== null && news.boot !== boot;
     hear(news);
+    if (!recorded.size) await learnRecorded();
     if (restarted) await openViewer();
     else if (!reachable) focusViewer();
     reachable = true;
     if (has3d) await follow(news.seen);
-    const current = runs.get(view.run);
+    const current = runs.get(view.run) ?? recorded.get(view.run);
     listRuns(current);
     showRun(current);
     sayRun(current);
@@ -312,6 +326,13 @@ async function look(wait = 0) {
     reachable = false;
     const where = navigator.onLine ? "The server does not answer" : "This device is offline";
     say(`${where}; trying again. Runs go on without this page, and it comes back to where it was.`, "server");
+  }
+}
+
+// A recorded run stands in the bar like any other, but for its state.
+async function learnRecorded() {
+  for (const each of await ask("api/recorded")) {
+    recorded.set(each.run, { ...each, id: each.run, status: "recorded", reason: each.origin?.chosen ?? each.problem, stage: each.label.replace("recorded: ", ""), iteration: 0, iterations: null, success: null });
   }
 }
 

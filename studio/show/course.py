@@ -75,7 +75,7 @@ class Designs:
     """The designs whose bodies are shown, and which of them is nearest to each iteration."""
 
     phi: np.ndarray
-    """(N, d)"""
+    """The design parameters (N, d) of each."""
     iterations: np.ndarray
     """The iteration (N,) that each comes from."""
     of_row: np.ndarray

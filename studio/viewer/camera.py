@@ -23,6 +23,10 @@ _PREFIX = "camera of "
 """Beginning of the names under which places of the camera are remembered; the task's name follows."""
 _NEAR = 0.01
 """Distance at which two places of the camera are the same, as a share of how far it is from what it looks at."""
+_SAME_SHAPE = 0.02
+"""Share by which a scene may get wider or narrower and still have the same shape."""
+_ROOMY = 0.72
+"""Share of its width that a scene fills where no panel covers the page: then what lies round it is seen, too."""
 _FARTHEST = 1e4
 """Largest coordinate of a remembered place, in m."""
 
@@ -74,7 +78,10 @@ class Camera:
         self._left: dict[str, Pose | None] = {}
         """Where a person has left the camera, by the task; None where the whole scene was asked for since."""
         self._pointed: Pose | None = None
-        self._is_narrow = False
+        self._aspect = USUAL_ASPECT
+        """Width / height of the browser's scene when the camera was pointed."""
+        self._is_covered = True
+        """Whether panels cover the sides of a usual page."""
         self._has_arrived = False
         """Whether the browser has told since that its camera is where it was pointed: what it tells before is old."""
         if isinstance(host, viser.ViserServer):
@@ -102,6 +109,13 @@ class Camera:
                 self._left[self._task] = None
             self._point()
 
+    def uncover(self, uncovered: bool) -> None:
+        """Use the whole width of a usual page, where no panels cover its sides, or what they leave free."""
+        with self._lock:
+            if uncovered == self._is_covered:
+                self._is_covered = not uncovered
+                self._point()
+
     @property
     def ticks(self) -> dict[str, Tick]:
         """Return where a person has left the camera, as it can be put back; empty where the whole scene is seen."""
@@ -124,13 +138,13 @@ class Camera:
         if isinstance(host, viser.ViserServer):
             start.fov, (start.position, start.look_at) = FIELD_OF_VIEW, camera(*self._box)
             for client in clients_of(host):
-                _aim(client, _whole(client, self._box))
+                _aim(client, _whole(client, self._box, self._is_covered))
             return
-        pose = left or _whole(host, self._box)
+        pose = left or _whole(host, self._box, self._is_covered)
         # viser's client goes to where it begins in its own time, so for one browser that is where it is pointed, too.
         start.fov, start.position, start.look_at = FIELD_OF_VIEW, pose.position, pose.target
         self._has_arrived = pose.is_near(Pose(host.camera.position, host.camera.look_at))
-        self._pointed, self._is_narrow = pose, host.camera.aspect < NARROW
+        self._pointed, self._aspect = pose, host.camera.aspect
         _aim(host, pose)
 
     def _hear(self) -> None:
@@ -145,21 +159,29 @@ class Camera:
                 self._has_arrived = True
             elif self._has_arrived:
                 self._left[self._task] = pose
-            if self._left.get(self._task) is None and (told.aspect < NARROW) != self._is_narrow:
-                self._point()  # the page has got another shape
+            if self._left.get(self._task) is None and self._has_another_shape(told.aspect):
+                self._point()
+
+    def _has_another_shape(self, aspect: float) -> bool:
+        """Tell whether the page has got a shape in which the whole scene is seen from elsewhere."""
+        if self._is_covered:
+            return (aspect < NARROW) != (self._aspect < NARROW)
+        return abs(aspect - self._aspect) > _SAME_SHAPE * self._aspect
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         """Point the camera of a client that has just come; that of a usual page begins where it should."""
         with self._lock:
             if self._box is not None and client.camera.aspect < NARROW:
-                _aim(client, _whole(client, self._box))
+                _aim(client, _whole(client, self._box, self._is_covered))
 
 
 def _aim(client: viser.ClientHandle, pose: Pose) -> None:
     client.camera.fov, client.camera.position, client.camera.look_at = FIELD_OF_VIEW, pose.position, pose.target
 
 
-def _whole(client: viser.ClientHandle, box: Corners) -> Pose:
-    """Return the pose in which a client sees the whole box, whatever the shape of its page."""
+def _whole(client: viser.ClientHandle, box: Corners, is_covered: bool) -> Pose:
+    """Return the pose in which a client sees the whole box, whatever the shape of its page, and beside panels where it
+    is covered by some."""
     aspect = client.camera.aspect
-    return Pose(*camera(*box, aspect if aspect < NARROW else USUAL_ASPECT))
+    free = _ROOMY * aspect if not is_covered else aspect if aspect < NARROW else USUAL_ASPECT
+    return Pose(*camera(*box, free, is_covered=is_covered))

@@ -65,8 +65,8 @@ class ExportPanel:
         )
         self.servo = gui.add_dropdown(
             "servo", (BY_NEED, *SERVOS), initial_value=BY_NEED, visible=False,
-            hint="The real servo with which report.html compares what the policy needs: measured in 256 episodes, "
-            "which takes some seconds; by need: the cheapest that suffices in 32 episodes",
+            hint="The real servo with which report.html compares what the policy needs: measured in 256 episodes; "
+            "by need: the cheapest that suffices",
         )  # fmt: skip
         self.formats_folder = gui.add_folder("Formats", expand_by_default=False)
         with self.formats_folder:

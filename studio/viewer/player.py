@@ -29,8 +29,7 @@ _HOLD = 1.0
 """Seconds for which the last frame stays before the loop begins again."""
 _IDLE = 0.25
 """Seconds between two looks for a browser while nobody watches."""
-_ARROW_RADIUS = 0.006
-"""Radius of a force's arrow, as a share of the scene's longest side."""
+_NO_ARROWS = np.zeros((0, 2, 3), np.float32)
 
 log = logging.getLogger(__name__)
 
@@ -287,12 +286,12 @@ class Player:
             self._paint(self._scenery, take.scenery_colours(frame))
             self._paint(self._objects, take.object_colours(frame))
             self._contact.pose(frame)
-            radius = _ARROW_RADIUS * float(np.max(take.box[1] - take.box[0]))
-            self._forces.show(take.forces.at(frame) if take.forces else np.zeros((0, 2, 3)), radius)
+            self._forces.show(take.forces.at(frame) if take.forces else _NO_ARROWS, take.arrow_radius)
         self._host.flush()  # else viser waits for as long as a frame lasts, and every few frames two become one
 
     def _paint(self, layer: Layer, colours: np.ndarray) -> None:
-        if not np.array_equal(colours, self._painted.get(layer, colours)):
+        painted = self._painted.get(layer, colours)
+        if colours is not painted and not np.array_equal(colours, painted):
             layer.paint(colours)
         self._painted[layer] = colours
 

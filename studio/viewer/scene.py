@@ -75,6 +75,8 @@ class _Batch:
     handle: viser.BatchedMeshHandle
     parts: list[int]
     mesh: Mesh | None = None
+    course: tuple[np.ndarray, np.ndarray] | None = None
+    """Positions (T, k, 3) and orientations (T, k, 4) of the instances, once they have been asked for."""
 
 
 class Layer:
@@ -101,7 +103,7 @@ class Layer:
         with self._host.atomic():
             for key, batch in self._batches.items():
                 batch.handle.visible = key in groups
-                batch.parts = groups.get(key, [])
+                batch.parts, batch.course = groups.get(key, []), None
             for key, parts in groups.items():
                 self._place(key, parts, figure.meshes[parts[0]] if figure else None, *arrays[key], painted[parts])
         self._figure, self._instant = figure, instant
@@ -113,8 +115,10 @@ class Layer:
             return
         with self._host.atomic():
             for batch in self._shown:
-                moved = {"batched_positions": figure.positions[instant, batch.parts]}
-                _change(batch.handle, moved | {"batched_wxyzs": figure.wxyz[instant, batch.parts]})
+                if batch.course is None:  # picked once, so that each frame of it is sent as it stands in memory
+                    batch.course = figure.positions[:, batch.parts], figure.wxyz[:, batch.parts]
+                positions, wxyz = batch.course
+                _change(batch.handle, {"batched_positions": positions[instant], "batched_wxyzs": wxyz[instant]})
         self._instant = instant
 
     def paint(self, colours: np.ndarray) -> None:
@@ -168,8 +172,8 @@ class Arrows:
 
     def show(self, arrows: np.ndarray, radius: float) -> None:
         """Draw arrows (n, 2, 3) from start to end, with shafts of this radius in m."""
-        arrows = arrows.astype(np.float32)
-        if np.array_equal(arrows, self._shown):
+        arrows = arrows.astype(np.float32, copy=False)
+        if arrows is self._shown or np.array_equal(arrows, self._shown):
             return
         self._shown = arrows
         if self._handle is None or radius != self._radius:
@@ -293,10 +297,13 @@ def is_flat(low: np.ndarray, high: np.ndarray) -> bool:
     return bool(size[2] < 0.25 * min(size[0], size[1]))
 
 
-def camera(low: np.ndarray, high: np.ndarray, aspect: float = USUAL_ASPECT) -> tuple[np.ndarray, np.ndarray]:
+def camera(
+    low: np.ndarray, high: np.ndarray, aspect: float = USUAL_ASPECT, *, is_covered: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
     """Return position (3,) and target (3,) of a camera that frames the box: from above if flat, else from the side.
 
-    `aspect` is width / height of the free part of the page. In a narrow page the box is seen in the upper half.
+    `aspect` is width / height of the free part of the page. In a narrow page the box is seen in the upper half, where
+    the lower one is covered by panels.
     """
     flat = is_flat(low, high)
     direction = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)]) if flat else OBLIQUE
@@ -307,7 +314,7 @@ def camera(low: np.ndarray, high: np.ndarray, aspect: float = USUAL_ASPECT) -> t
     shift = (upward.max() + upward.min()) / 2
     distance = np.max(nearer + np.maximum(np.abs(across) / (slope * aspect), np.abs(upward - shift) / slope))
     distance = max(float(distance), 1e-3)
-    lift = _LIFT * distance * math.tan(FIELD_OF_VIEW / 2) if aspect < NARROW else 0.0
+    lift = _LIFT * distance * math.tan(FIELD_OF_VIEW / 2) if is_covered and aspect < NARROW else 0.0
     target = (low + high) / 2 + (shift - lift) * up
     return target + distance * direction, target
 

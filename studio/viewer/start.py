@@ -84,6 +84,11 @@ class StartPanel:
         self._show_bounds()
 
     @property
+    def begins_as_usual(self) -> bool:
+        """Tell whether a run would begin with the task's own design, and with the task's options as they are."""
+        return self._origin is None and self._design is None and not self._task_options(self.task.value)
+
+    @property
     def preview(self) -> Shot | None:
         """The design that a run would begin with, in the task and with the options that are chosen; None without."""
         name = self.task.value

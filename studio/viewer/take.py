@@ -45,8 +45,8 @@ _TINT = 0.6
 _GAP = 0.15
 """Gap between two designs side by side, as a share of the scene's width there."""
 _GHOST_THICKNESS = 0.85
-_MARKER_RADIUS = 0.012
-"""Radius of a contact marker, as a share of the scene's longest side."""
+_MARKER_RADIUS, _ARROW_RADIUS = 0.012, 0.006
+"""Radii of a contact marker and of a force's arrow, as shares of the scene's longest side."""
 _OUT_OF_SIGHT = -1e4
 """Height in m of the markers of contacts that are none now: browsers move markers at once, and are slow to make new
 ones."""
@@ -176,8 +176,15 @@ class Take:
         """Length of the longer episode in seconds of the task's time; 0 without an episode."""
         return self.last_frame / FRAMES_PER_SECOND
 
+    @functools.cached_property
+    def arrow_radius(self) -> float:
+        """Radius of the shafts of the forces' arrows, in m."""
+        return _ARROW_RADIUS * _longest_side(self.box)
+
     def scenery_colours(self, frame: int) -> np.ndarray:
         """Return the scenery's colours (n, 3) uint8 with what is touched lit up."""
+        if not (self.goal_touched[frame] or self.touched[frame].any()):
+            return self.scenery.colours
         colours = self.scenery.colours.copy()
         if self.goal_touched[frame]:
             colours[[name.startswith("goal") for name in self.scenery.names]] = GOAL_LIT
@@ -186,6 +193,8 @@ class Take:
 
     def object_colours(self, frame: int) -> np.ndarray:
         """Return the objects' colours (n, 3) uint8, lit up by the milestones that are reached."""
+        if not any(reached[frame] for reached in self.milestones.values()):
+            return self.objects.colours
         colours = self.objects.colours.copy()
         for i, name in enumerate(self.objects.names):
             milestone, light = LIT_BY.get(name, ("", GOAL_LIT))
@@ -335,7 +344,7 @@ def _moving_contacts(contact: np.ndarray, factor: int, frames: int) -> np.ndarra
 
 def _markers(contact: np.ndarray, radius: float) -> Figure | None:
     """Return markers of this radius in m where (F, C, 3) is touched."""
-    touched = np.isfinite(contact).all(2)
+    touched = np.asarray(np.isfinite(contact).all(2))
     if not touched.any():
         return None
     places = np.where(touched[..., None], contact, [0.0, 0.0, _OUT_OF_SIGHT])

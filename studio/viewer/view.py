@@ -24,6 +24,8 @@ class View(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The iteration on screen; None while the latest one is followed."""
     ticks: Annotated[dict[Word, Tick], msgspec.Meta(max_length=64)] = {}
     """Values of the remembered inputs, by their names."""
+    presents: bool = False
+    """Whether the page is in presenter's mode: large words over the scene, and no panels."""
 
 
 class Seen(View, frozen=True, kw_only=True):

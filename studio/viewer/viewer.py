@@ -14,7 +14,8 @@ from morph_core.protocol import AnyCommand, InjectDesign, Status
 from studio.branches import Member
 from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design
-from studio.new_run import StartRun
+from studio.new_run import StartRun, again
+from studio.recordings import Recording, Recordings
 from studio.viewer import wording
 from studio.viewer.compare import ComparePanel, Others
 from studio.viewer.design import DesignPanel
@@ -29,8 +30,10 @@ from studio.viewer.news import News
 from studio.viewer.playback import PlaybackPanel
 from studio.viewer.player import Player
 from studio.viewer.presented import Presented, presented, title_of
+from studio.viewer.recorded import RecordedPanel
 from studio.viewer.run import MORE, NOT_LIVE, RunPanel
 from studio.viewer.scene import Host, clients_of, light_up
+from studio.viewer.stage import Stage
 from studio.viewer.start import StartPanel
 from studio.viewer.steer import SteerPanel
 from studio.viewer.take import Shot
@@ -44,6 +47,7 @@ _START_PATIENCE = 15.0
 _BODY_FIRST = 0.2
 """Longest time in seconds for which the panels wait until the body of another design stands in the scene."""
 
+_TRAIN = "train it live"
 _GONE = "Choose another run, or bring this one back on the page of all runs: then it is shown again."
 
 log = logging.getLogger(__name__)
@@ -57,7 +61,8 @@ class Viewer:
     `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
     one, servo or None, printer or None)` do what people ask for; they refuse by a ValueError, whose sentence is shown.
     `answers` say how good a policy is on a changed design, `family(run_id)` is the tree in which a run stands, `album`
-    has pictures and stars, and `others` are all runs that a design may be compared with.
+    has pictures and stars, `others` are all runs that a design may be compared with, and `recordings` those that come
+    with the studio.
     """
 
     def __init__(
@@ -73,8 +78,12 @@ class Viewer:
         family: Callable[[str], Member | None],
         album: Album,
         others: Others,
+        recordings: Recordings,
     ) -> None:
         self._host = host
+        self._recordings = recordings
+        self._wants_film: bool | None = None
+        """Whether the start page plays the recorded run; until it was asked, where there is no other run."""
         self._on_command = on_command
         self._on_start = on_start
         self._on_resume = on_resume
@@ -102,6 +111,13 @@ class Viewer:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(350)
         self.notice = gui.add_html("", visible=False)
+        self.recorded = RecordedPanel(
+            gui,
+            on_film=self._want_film,
+            on_open=self._open_recorded,
+            on_live=self._train_live,
+            on_present=lambda _: self.present(True),
+        )
         self.start = StartPanel(gui, on_start=self._start, on_preview=self._refresh)
         self.tabs = gui.add_tab_group()
         with self.tabs.add_tab("Run", viser.Icon.ACTIVITY):
@@ -135,6 +151,7 @@ class Viewer:
             )
         self.fresh = FreshEpisodes(answers, on_news=self._refresh)
         self.player = Player(host, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))
+        self.stage = Stage(host, self.player, usual_speed=lambda: self.playback.speed.value)
         self.timeline = TimelinePanel(
             gui,
             on_choice=self._turn,
@@ -231,14 +248,21 @@ class Viewer:
         held = self._selected is not None and not self.timeline.follow.value
         shown = self._sought if self._sought is not None else self.timeline.shown_iteration if held else None
         ticks = ticks_of(self._remembered) | self.player.camera.ticks
-        return View(run=self._selected, iteration=shown, ticks=ticks)
+        return View(run=self._selected, iteration=shown, ticks=ticks, presents=self.stage.presents)
 
     def put_back(self, view: View) -> None:
         """Show what `view` says."""
         with self._lock:
             put_back(self._remembered, view.ticks)
             self.player.camera.put_back(view.ticks)
+            self.present(view.presents)
             self.open(view.run, view.iteration)
+
+    def present(self, presents: bool) -> None:
+        """Begin presenter's mode, in which the page shows the scene alone under large words, or leave it."""
+        with self._lock:
+            self.stage.present(presents)
+            self._refresh()
 
     def select(self, run_id: str | None) -> None:
         """Open the run of that name, or the start panel if it is None."""
@@ -263,6 +287,7 @@ class Viewer:
         """End the viewer's threads; the server is left to whoever started it."""
         self.what_if.stop()
         self.fresh.stop()
+        self.stage.stop()
         self.timeline.stop()
         self.gallery.stop()
         self.player.stop()
@@ -299,6 +324,26 @@ class Viewer:
         started = self._on_start(request)
         self.start.branch_from(None)
         self.select(started)
+
+    def _train_live(self, client: viser.ClientHandle | None) -> None:
+        """Start what the start panel says, or the run on screen once again, unless it is being trained."""
+        history = self._histories.get(self._selected or "")
+        if self._selected and (history is None or self._is_live(history)):
+            return
+        try:
+            self.select(self._on_start(again(history.record) if history else self.start.request()))
+        except (ValueError, OSError) as error:
+            self.refuse(str(error), client)
+
+    def _want_film(self, wants: bool) -> None:
+        with self._lock:
+            self._wants_film = wants
+            self._refresh()
+
+    def _open_recorded(self, client: viser.ClientHandle | None) -> None:
+        recording = self._recording_of_start()
+        if recording:
+            self.select(recording.history.folder.id)
 
     def _open_branch(self, client: viser.ClientHandle | None) -> None:
         """Open the form for a run that begins where the timeline stands."""
@@ -388,6 +433,9 @@ class Viewer:
             Deed("Branch from the shown iteration", self._at_a_run(self._open_branch), ("B",), icon.GIT_BRANCH),
             Deed("Pause or resume the run", self._at_a_run(self.run.toggle), ("P",), icon.PLAYER_PAUSE),
             Deed("New run", lambda _: self.open(None), ("N",), icon.PLUS),
+            Deed("Presenter's mode", lambda _: self.present(not self.stage.presents), ("F",), icon.PRESENTATION),
+            Deed("Leave presenter's mode", lambda _: self.present(False), ("escape",)),
+            Deed("Train live, in presenter's mode", self._in_presenters_mode(self._train_live), ("enter",)),
             Deed("Show the whole scene", lambda _: self.player.camera.look_at_all(), ("R",), icon.FOCUS_CENTERED),
             *(
                 Deed(f"{word} the run", self._at_a_run(lambda client, word=word: self.run.ask(word, client)))
@@ -403,6 +451,10 @@ class Viewer:
         """Return the deed, but nothing where no run is on screen."""
         return lambda client: do(client) if self._selected in self._histories else None
 
+    def _in_presenters_mode(self, do: Do) -> Do:
+        """Return the deed, but nothing where the panels are there."""
+        return lambda client: do(client) if self.stage.presents else None
+
     # --- what is shown ---
 
     def _refresh(self) -> None:
@@ -416,10 +468,16 @@ class Viewer:
                 self._show_nothing(run_id)
                 return
             status, message = self._statuses.get(run_id, (history.status, history.message))
-            live = status not in NOT_LIVE
+            live = self._is_live(history)
+            recording = self._recordings.get(run_id) if run_id in self._recordings else None
             pending = [command for command, _ in self._pending.get(run_id, [])]
             self.run.show_visible(True)
             self.run.update(history, status, message, pending)
+            self.run.branch.visible = recording is None
+            if recording:
+                self.recorded.show_opened(recording)
+            else:
+                self.recorded.hide()
             self.steer.update(history, status)
             self.design.update(history, status)
             self.export.update(history)
@@ -440,7 +498,15 @@ class Viewer:
             self.log.update(history, self._family_of(run_id), self._statuses)
             self.traces.update(history, shown, phi)
             self.what_if.update(history, shown, phi, live=live, following=self.timeline.follow.value)
-            self.player.show(self._shot(history, shown, phi))
+            label = recording.label if recording else f"{run_id}: {status}"
+            enter = "" if live else _TRAIN
+            if self.stage.presents and not live and history.progress:
+                self.stage.play(history, label, enter)
+            elif self.stage.presents or recording:
+                self.stage.show(history, shown, label, enter)
+            else:
+                self.stage.clear()
+            self._show_scene()
 
     def _turn(self) -> None:
         """Show another design: first the body, as a person waits for that, then all that is said of it."""
@@ -459,8 +525,17 @@ class Viewer:
         """Bring the scene alone up to date, as a body that is dragged must move at once."""
         with self._lock:
             history = self._histories.get(self._selected or "")
-            if history is not None:
+            if history is not None and not self.stage.plays_film:
                 self.player.show(self._shot(history, *self._shown_design(history)))
+
+    def _is_live(self, history: History) -> bool:
+        status, _ = self._statuses.get(history.folder.id, (history.status, ""))
+        return status not in NOT_LIVE
+
+    def _recording_of_start(self) -> Recording | None:
+        """Return the recorded run of what the start panel says; None where there is none, or a person begins with
+        something of their own. Raise RunFolderError where it can't be read."""
+        return self._recordings.of(self.start.task.value) if self.start.begins_as_usual else None
 
     def _family_of(self, run_id: str) -> Member | None:
         """Return the tree in which a run stands, found anew whenever another run is shown or runs come or go."""
@@ -481,12 +556,11 @@ class Viewer:
         self.fresh.want([])
         if run_id is None:
             self.traces.clear("no data yet: press Start")
-            self.timeline.clear("what a run begins with, in its start posture")
-            preview = self.start.preview
-            if preview and self._is_told:
-                self.player.show(preview)
+            self._show_beginning()
             return
+        self.recorded.hide()
         status, message = self._statuses.get(run_id, ("starting", "starting…"))
+        self.stage.clear(f"{run_id}: {status}")
         if run_id in self._known and run_id not in self._statuses:
             if self._sought is None and not self.timeline.follow.value:
                 self._sought = self.timeline.shown_iteration  # for when it comes back
@@ -496,6 +570,37 @@ class Viewer:
         self.run.show_message(status, message)
         self.traces.clear(f"{status}: {message}")
         self.timeline.clear(message)
+
+    def _show_beginning(self) -> None:
+        """Show the recorded run of the task on the start page, or what a new run begins with."""
+        recording = self._offer_recording() if self._is_told else None
+        if recording and self._plays_film:
+            self.timeline.clear("a recorded run, from its first iteration to its last")
+            self.stage.play(recording.history, recording.label, _TRAIN)
+            return
+        self.timeline.clear("what a run begins with, in its start posture")
+        self.stage.clear(enter=_TRAIN)
+        preview = self.start.preview
+        if preview and self._is_told:
+            self.player.show(preview)
+
+    @property
+    def _plays_film(self) -> bool:
+        """Whether the start page plays the recorded run: where there is no other one, until a person says so."""
+        return self.stage.presents or (not self._histories if self._wants_film is None else self._wants_film)
+
+    def _offer_recording(self) -> Recording | None:
+        """Say on the start page what was recorded of the task, and return it; None where nothing can be played."""
+        try:
+            recording = self._recording_of_start()
+        except ValueError as error:
+            self.recorded.show_problem(str(error))
+            return None
+        if recording:
+            self.recorded.show_on_start_page(recording, plays=self._plays_film)
+        else:
+            self.recorded.hide()
+        return recording
 
     def _shown_design(self, history: History) -> tuple[int, np.ndarray]:
         """Return the iteration and phi (d,) that are to be shown."""

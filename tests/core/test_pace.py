@@ -1,5 +1,6 @@
-"""How long a run will still take, from iterations of uneven length."""
+"""How long a run will still take, from iterations of uneven length and what comes beside some of them."""
 
+import math
 import random
 
 import pytest
@@ -10,33 +11,61 @@ from morph_core.pace import Pace
 
 
 @given(
-    iterations=st.integers(100, 400),
+    iterations=st.integers(12, 400),
+    interval=st.integers(1, 60),
+    evaluation=st.floats(0.0, 20.0),
+    known=st.floats(0.9, 1.1),
     search=st.floats(0.0, 5.0),
-    every=st.integers(5, 10),
-    evaluation=st.floats(0.0, 1.0),
+    every=st.integers(1, 30),
     warm_up=st.floats(0.0, 20.0),
-    jitter=st.floats(0.0, 0.2),
+    jitter=st.floats(0.0, 0.05),
     seed=st.integers(0, 999),
 )
 def test_after_a_tenth_of_a_run_the_rest_is_known_within_a_fifth(
-    iterations: int, search: float, every: int, evaluation: float, warm_up: float, jitter: float, seed: int
-) -> None:
-    rng, pace = random.Random(seed), Pace()
-    seconds = [
-        rng.uniform(1 - jitter, 1 + jitter) + warm_up * (i == 1) + search * (i % every == 0) + evaluation * (i % 5 == 0)
-        for i in range(1, iterations + 1)
-    ]
-    done = iterations // 10
-    for took in seconds[:done]:
-        pace.took(took, 100)
-    assert pace.left(iterations - done) == pytest.approx(sum(seconds[done:]), rel=0.2)
+    iterations: int, interval: int, evaluation: float, known: float, search: float, every: int, warm_up: float,
+    jitter: float, seed: int,
+) -> None:  # fmt: skip
+    rng, pace, done = random.Random(seed), Pace(), math.ceil(iterations / 10)
+    every = min(every, done) if every > 1 else 1  # a search that has never been is known to nobody
+    every = every if done - done // every > 1 or every == 1 else 1  # nor is an iteration without one, beside the first
+
+    def spread() -> float:
+        return rng.uniform(1 - jitter, 1 + jitter)
+
+    left, searches, evaluations = 0.0, 0, 0
+    for i in range(1, iterations + 1):
+        searched = every > 1 and i % every == 0
+        took = spread() * (1 + search * searched) + warm_up * (i == 1)
+        evaluated = i % interval == 0 or i == iterations
+        evaluating = evaluation * spread() * evaluated
+        if i > done:
+            left, searches, evaluations = left + took + evaluating, searches + searched, evaluations + evaluated
+            continue
+        pace.took(took, 100, searched)
+        if evaluated:
+            pace.evaluated(evaluating)
+    expected = pace.left(iterations - done, searches, evaluations, expected=evaluation * known)
+    assert expected == pytest.approx(left, rel=0.2)
 
 
 def test_a_pace_that_changes_is_followed() -> None:
     pace = Pace()
     for took in (1.0,) * 50 + (3.0,) * 20:
         pace.took(took, 10)
-    assert pace.left(10) == pytest.approx(30.0)
+        pace.evaluated(took)
+    assert pace.left(10, evaluations=2) == pytest.approx(36.0)
+
+
+def test_what_comes_seldom_is_counted_and_not_spread() -> None:
+    pace = Pace()
+    for took, searched in ((9.0, False), (1.0, False), (4.0, True), (1.0, False), (4.0, True)):
+        pace.took(took, 10, searched)
+    assert pace.left(10) == 10.0
+    assert pace.left(10, searches=3) == 7 * 1.0 + 3 * 4.0
+    assert pace.left(10, searches=3, evaluations=2, expected=5.0) == 29.0
+    pace.evaluated(2.0)
+    assert pace.left(10, searches=3, evaluations=2, expected=5.0) == 23.0
+    assert pace.left(0, evaluations=0.5) == 1.0
 
 
 def test_before_the_first_iteration_nothing_is_known_and_after_it_something() -> None:
@@ -44,3 +73,4 @@ def test_before_the_first_iteration_nothing_is_known_and_after_it_something() ->
     assert (pace.left(10), pace.env_steps) == (None, None)
     pace.took(2.0, 64)
     assert (pace.left(10), pace.env_steps) == (20.0, 64.0)
+    assert pace.left(10, searches=2, evaluations=1, expected=3.0) == 23.0

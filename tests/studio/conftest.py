@@ -50,6 +50,7 @@ from studio.export.bundle import Bundle
 from studio.export.check import Check
 from studio.export.design_file import Design, Value
 from studio.new_run import StartRun, prepare_run
+from studio.recordings import Recordings
 from studio.runs import Runs
 from studio.settings import Settings
 from studio.viewer.take import Take
@@ -59,6 +60,18 @@ from studio.what_if import SweepPoint, WhatIf, WhatIfs, Wish, sweep_designs
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "a-token-of-the-tests"
+FEW = 32
+"""Number of episodes that prove a policy in the tests, which export often."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def few_episodes() -> Iterator[None]:
+    """Let exports prove their policies in a few episodes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("studio.export.bundle.EPISODES", FEW)
+        yield
+
+
 NAME = "20260101-000000-reacher-morph-s0"
 
 STAND_IN = """
@@ -338,7 +351,7 @@ class Page:
 
 
 @pytest.fixture
-def page() -> Iterator[Page]:
+def page(tmp_path: Path) -> Iterator[Page]:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
 
     def heed(ask: Callable[[], None]) -> None:
@@ -380,6 +393,7 @@ def page() -> Iterator[Page]:
         family=lambda _: page.family,
         album=album,
         others=others,
+        recordings=Recordings(tmp_path / "recordings"),
     )
     page = Page(server, viewer, answers=answers, album=album, others=others)
     yield page

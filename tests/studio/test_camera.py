@@ -131,6 +131,19 @@ def test_a_page_that_turns_out_to_be_narrow_is_pointed_anew(eye: Eye) -> None:
     assert eventually(lambda: eye.pose.is_near(narrow))
 
 
+def test_a_scene_without_panels_beside_it_is_seen_in_its_whole_width_whatever_shape_it_gets(eye: Eye) -> None:
+    eye.camera.frame("reacher", (), BOX, alone=True)
+    eye.is_at(whole(BOX).position, whole(BOX).target)
+    eye.camera.uncover(True)
+    for size in ((1600, 900), (390, 800)):
+        eye.is_at(eye.pose.position, eye.pose.target, size)
+        wide = Pose(*camera(*BOX, 0.72 * size[0] / size[1], is_covered=False))
+        assert eventually(lambda wide=wide: eye.pose.is_near(wide))
+    eye.is_at(eye.pose.position, eye.pose.target)
+    eye.camera.uncover(False)
+    assert eventually(lambda: eye.pose.is_near(whole(BOX)))
+
+
 @pytest.mark.parametrize(
     "words", ["", "1 2 3", "a b c d e f", "1 2 3 4 5 nan", "1 2 3 4 5 inf", "1e9 0 0 0 0 0", "1 2 3 1 2 3", True, 0.5]
 )

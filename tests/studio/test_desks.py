@@ -19,6 +19,7 @@ from morph_core.protocol import AnyCommand, Pause
 from studio.bridge import GuardedViser
 from studio.desks import KEPT, MOST, Desks, key_of
 from studio.export.bundle import Bundle
+from studio.recordings import Recordings
 from studio.viewer.view import View
 from studio.viewer.viewer import Viewer
 
@@ -62,6 +63,7 @@ class Room:
             family=lambda _: None,
             album=Stars(),
             others=Neighbours(self.histories),
+            recordings=Recordings(),
         )
         self.viewers.append(viewer)
         return viewer
@@ -263,9 +265,10 @@ def test_what_an_input_does_not_offer_is_not_put_back(room: Room) -> None:
 
 
 def test_a_page_reads_and_sets_what_its_viewer_shows(served: Served) -> None:
-    wish = {"run": "run", "iteration": 3, "ticks": {"trail": True, "speed": 0.5}}
+    wish = {"run": "run", "iteration": 3, "ticks": {"trail": True, "speed": 0.5}, "presents": True}
     address = f"/api/desks/{key('a')}"
-    assert served.client.get(address).json() == {"run": None, "iteration": None, "ticks": {}, "connected": False}
+    nothing = {"run": None, "iteration": None, "ticks": {}, "presents": False, "connected": False}
+    assert served.client.get(address).json() == nothing
     assert served.client.put(address, json=wish).json() == wish
     assert served.client.get(address).json() == {**wish, "connected": True}
 
@@ -273,7 +276,7 @@ def test_a_page_reads_and_sets_what_its_viewer_shows(served: Served) -> None:
 @pytest.mark.parametrize(
     "wish",
     [{"run": "r" * 129}, {"iteration": -1}, {"ticks": {"speed": 1e30}}, {"ticks": {str(i): True for i in range(65)}},
-     {"ticks": {"speed": [1.0]}}, {"color": "red"}, {"run": 3}],
+     {"ticks": {"speed": [1.0]}}, {"color": "red"}, {"run": 3}, {"presents": 1}],
 )  # fmt: skip
 def test_a_view_that_is_none_is_refused(served: Served, wish: dict[str, object]) -> None:
     assert served.client.put(f"/api/desks/{key('a')}", json=wish).status_code == 422

@@ -136,8 +136,8 @@ def test_an_episode_is_played_where_it_was_recorded(tmp_path: Path, task: str) -
     phi = np.array(History(folder).progress[0].phi)
     qpos = np.repeat(start_posture(made, phi), 6, 0)
     qpos[:, 0] += np.linspace(0, -0.1, 6)  # the palm goes down
-    qpos[:, made.hand.joints + 3 : made.hand.joints + 7] = [np.cos(1), 0, 0, np.sin(1)]
-    qpos[3:, made.hand.joints + 3 : made.hand.joints + 7] *= -1  # the same orientation
+    half = np.linspace(1.95, 2.25, 6)  # rad: from 2/3 pi on MuJoCo gives the negative of an orientation
+    qpos[:, made.hand.joints + 3], qpos[:, made.hand.joints + 6] = np.cos(half), np.sin(half)
     contact = np.full((5, 2, 3), np.nan)
     contact[2, 1] = [0.01, -0.02, 0.03]
     steps = {"success": np.array([0, 0, 0, 0, 1]), "milestones/pressed": np.array([0, 0, 1, 1, 0]), "contact": contact}

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from conftest import design_of, make_hand_run
+from conftest import FEW, design_of, make_hand_run
 from safetensors.numpy import save_file
 
 from morph_core.catalogue import TASKS, make_task
@@ -276,7 +276,8 @@ def servos_of(bundle: Bundle) -> ServoTable:
 
 def test_a_bundle_says_which_servo_can_do_what_the_policy_needs(bundle: Bundle) -> None:
     table = servos_of(bundle)
-    assert (table.episodes, table.instants) == (EPISODES, EPISODES * 40 * 10)  # control steps, and 10 ms steps of each
+    assert (table.episodes, table.instants) == (FEW, FEW * 40 * 10)  # control steps, and 10 ms steps of each
+    assert EPISODES == 256  # what everybody else is given
     assert [row.joint for row in table.joints] == [
         f"finger_{i}_{link}" for i in range(1, 5) for link in ("proximal", "distal")
     ]
@@ -292,7 +293,7 @@ def test_a_bundle_says_which_servo_can_do_what_the_policy_needs(bundle: Bundle) 
 def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for(
     history: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("studio.export.servos.EPISODES", 3)
+    monkeypatch.setattr("studio.export.bundle.EPISODES", 3)
     weak = build_bundle(history, "best", ["mjcf"], servo="mg90s")
     table = servos_of(weak)
     assert (table.servo, table.episodes, table.suffices) == ("MG90S", 3, False)

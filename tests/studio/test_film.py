@@ -68,7 +68,7 @@ def script(reached: RunFolder) -> Script:
 def ready(reached: RunFolder, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The bytes of a small film that nothing interrupted."""
     out = tmp_path_factory.mktemp("films") / "whole.mp4"
-    made = Reel.of(plan_evolution([History(reached)], SMALL, 5, 4.0), out)
+    made = Reel.of(plan_evolution([History(reached)], SMALL, 5, 2.0), out)
     made.render(1, lambda _: None)
     made.join()
     return out.read_bytes()
@@ -239,7 +239,7 @@ def test_two_runs_stand_side_by_side_and_the_shorter_one_waits(reached: RunFolde
 
 
 def test_an_interrupted_film_goes_on_and_has_the_same_bytes(reached: RunFolder, ready: bytes, tmp_path: Path) -> None:
-    film = plan_evolution([History(reached)], SMALL, 5, 4.0)
+    film = plan_evolution([History(reached)], SMALL, 5, 2.0)
     out = tmp_path / "film.mp4"
     drawn = 0
 

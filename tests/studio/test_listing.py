@@ -28,8 +28,9 @@ def rows(folder: Path) -> list[Row]:
 
 @pytest.fixture
 def three(runs_folder: Path) -> Path:
-    for name, ended in (("a", "finished"), ("b", "stopped"), ("c", "failed")):
-        make_run(runs_folder, name, ended=ended)
+    make_run(runs_folder, "a", ended="finished")
+    make_run(runs_folder, "b", ended="stopped")
+    make_run(runs_folder, "c", ended="failed")
     return runs_folder
 
 

@@ -12,12 +12,14 @@ import msgspec
 import nbformat
 import pytest
 from conftest import ROOT, append, in_mood, make_run, progress, stand_in
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from lxml import html
 
 from morph_core.catalogue import make_task
 from morph_core.hypertext import table
+from morph_core.protocol import StateChanged
+from morph_core.run_folder import RunFolder
 from studio import notebook
 from studio.cli.arguments import UsageError
 from studio.notebook import Run, open_run, open_study, train
@@ -29,9 +31,7 @@ from tests.studies import Made, write_study
 NOTEBOOK = ROOT / "examples" / "notebook.ipynb"
 LARGEST = 1 << 20
 PAGE = """<p title="a 'b'">&amp; <script>1 < 2</script>"""
-WORDS = st.text(st.characters(min_codepoint=32, exclude_categories=["Cc", "Cs"]), min_size=1).filter(
-    lambda word: word == word.strip() and "\xa0" not in word
-)
+WORDS = st.text("<>&\"'/=;#ab1é", min_size=1)
 
 
 def cells(written: str) -> list[list[str]]:
@@ -44,6 +44,7 @@ def reacher(tmp_path: Path) -> Run:
     return open_run(make_run(tmp_path).path)
 
 
+@example([["<b>", "&amp;"]], "<i>&lt;")
 @given(st.lists(st.lists(WORDS, min_size=2, max_size=2), min_size=1), WORDS)
 def test_a_table_shows_any_text_as_text(rows: list[list[str]], caption: str) -> None:
     written = table(rows[0], rows[1:], caption)
@@ -222,6 +223,18 @@ def test_a_training_that_fails_says_why(tmp_path: Path, monkeypatch: pytest.Monk
         train("reacher", runs=tmp_path)
 
 
+def test_a_training_that_says_itself_that_it_fails_is_no_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(folder: RunFolder) -> subprocess.Popen[bytes]:
+        append(folder, StateChanged(status="failed", iteration=0, message="the loss is not finite"))
+        return subprocess.Popen(["true"])
+
+    monkeypatch.setattr(notebook, "spawn_trainer", failing)
+    with pytest.raises(RuntimeError, match="the loss is not finite"):
+        train("reacher", runs=tmp_path)
+
+
 def test_an_interrupt_stops_a_training_after_its_iteration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(notebook, "spawn_trainer", stand_in)
     monkeypatch.setattr(notebook.time, "sleep", interrupting(time.sleep))
@@ -253,12 +266,12 @@ def test_a_wish_that_is_not_allowed_is_refused_before_anything_is_written(tmp_pa
 
 
 @pytest.fixture(scope="module")
-def example() -> nbformat.NotebookNode:
+def committed() -> nbformat.NotebookNode:
     return nbformat.read(NOTEBOOK, as_version=4)
 
 
-def test_the_example_is_committed_with_its_outputs(example: nbformat.NotebookNode) -> None:
-    code = [cell for cell in example.cells if cell.cell_type == "code"]
+def test_the_example_is_committed_with_its_outputs(committed: nbformat.NotebookNode) -> None:
+    code = [cell for cell in committed.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in code] == list(range(1, 11))
     assert all(cell.outputs for cell in code[1:])
     assert not [output for cell in code for output in cell.outputs if output.output_type == "error"]
@@ -268,12 +281,12 @@ def test_the_example_is_committed_with_its_outputs(example: nbformat.NotebookNod
 
 @pytest.mark.slow
 def test_the_example_runs_from_training_to_export(
-    example: nbformat.NotebookNode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    committed: nbformat.NotebookNode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from nbclient import NotebookClient
 
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    short = nbformat.from_dict(example)
+    short = nbformat.from_dict(committed)
     (training,) = (cell for cell in short.cells if "iterations=" in cell.source and cell.cell_type == "code")
     training.source = re.sub(r"iterations=\d+", "iterations=4", training.source)
     NotebookClient(short, timeout=200, resources={"metadata": {"path": str(tmp_path)}}).execute()

@@ -181,6 +181,8 @@ def test_a_link_with_a_token_leads_to_the_page_that_it_names(shared: Served) -> 
     with httpx.Client(base_url=f"http://127.0.0.1:{shared.port}") as browser:
         entered = browser.get("/study", params={"token": TOKEN})
         assert (entered.status_code, entered.headers["location"]) == (303, "./study")
+        presented = browser.get("/", params={"token": TOKEN, "present": "//evil.example", "run": "x"})
+        assert (presented.status_code, presented.headers["location"]) == (303, "./?present=1")
         assert browser.get("/study").status_code == 200
     assert (
         "url=./study"
