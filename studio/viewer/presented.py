@@ -72,7 +72,7 @@ class Curves(msgspec.Struct, frozen=True):
     phi: list[PhiCurves]
 
 
-def presented(history: History, status: Status, shown: int, doing: str, player: Player) -> Presented:
+def presented(history: History, shown: int, status: Status, doing: str, player: Player) -> Presented:
     """Return what is shown of a run at iteration `shown`."""
     take = player.take
     evaluated = [e for e in history.evaluations if e.iteration <= shown]

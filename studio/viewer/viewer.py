@@ -222,6 +222,10 @@ class Viewer:
     def presented(self) -> tuple[Presented, History | None]:
         """Return what is shown, for those who only look, and the run that is, if one is."""
         with self._lock:
+            film = self.stage.film
+            if film is not None:
+                status = self._statuses.get(film[0].folder.id, (film[0].status, ""))[0]
+                return presented(*film, status, "its evolution in short", self.player), film[0]
             history = self._histories.get(self._selected or "")
             if history is None:
                 shot = self.player.take.shot if self.player.take else None
@@ -229,7 +233,7 @@ class Viewer:
                 return Presented(title=title, doing="a new run is being prepared" if shot else ""), None
             status, _ = self._statuses.get(history.folder.id, (history.status, ""))
             shown = self._shown_design(history)[0]
-            return presented(history, status, shown, self._doing, self.player), history
+            return presented(history, shown, status, self._doing, self.player), history
 
     @property
     def _doing(self) -> str:

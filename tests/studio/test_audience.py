@@ -68,7 +68,7 @@ class Hall:
         return self.served.app.state.audience
 
     def browser(self, **cookies: str) -> httpx.Client:
-        return httpx.Client(base_url=f"http://127.0.0.1:{self.served.port}", cookies=cookies, verify=False)
+        return httpx.Client(base_url=f"http://127.0.0.1:{self.served.port}", cookies=cookies, verify=False, timeout=20)
 
     @contextlib.contextmanager
     def listening(self, key: str = KEY) -> Iterator[Iterator[tuple[str, Any]]]:
@@ -512,6 +512,9 @@ def test_the_viewer_says_what_it_shows(page: Page, tmp_path: Any) -> None:
     assert seen.iteration == page.viewer.timeline.shown_iteration
     assert "arm" in seen.title.lower() or seen.title
     assert any(entry.words == "goal" for entry in seen.legend)
+    page.viewer.stage.play(history, "recorded", "")
+    assert eventually(lambda: page.viewer.presented[0].doing == "its evolution in short")
+    page.viewer.stage.end_film()
     page.viewer.timeline.turn_to(0)
     assert page.viewer.presented[0].success is None, "of an evaluation that came later"
     page.viewer.open(None)
