@@ -57,7 +57,7 @@ from morph_core.run_folder import (
 )
 from morph_core.state import State
 from morph_core.task import Task
-from morph_core.undo import edits_since, take_back, unruly_alpha
+from morph_core.undo import earlier_edits, edits_since, take_back, unruly_alpha
 
 T = TypeVar("T")
 HEARTBEAT_SECONDS = 1.0
@@ -152,15 +152,19 @@ class Trainer:
     def take_back(self, error: Exception) -> str:
         """Take back the commands since the last iteration, with which the present one has failed; return the sentence.
 
-        Return nothing where there were none, or where it is not they that failed.
+        Where the last ones were obeyed earlier, say only what they were: what was learnt with them is not taken back,
+        and nobody knows whether it is they that failed. Return nothing where it can't be a command that failed.
         """
-        asked = [edit.message for edit in edits_since(History(self._folder))]
-        if not asked or isinstance(error, OSError | MemoryError | RunFolderError):
+        history = History(self._folder)
+        if isinstance(error, OSError | MemoryError | RunFolderError):
             return ""
+        if not (edits := edits_since(history)):
+            return earlier_edits(history)
         said = take_back(self._folder, self._task, read_method(self._record))
         for event in said:
             self._log.append(event)
-        return f"; taken back is what was asked for before it ({', '.join(asked)}): resume goes on" if said else ""
+        asked = ", ".join(edit.message for edit in edits)
+        return f"; taken back is what was asked for before it ({asked}): resume goes on" if said else ""
 
     def beat(self) -> None:
         """Rewrite the heartbeat; where the disk does not take this one, it will take a later one."""

@@ -20,6 +20,20 @@ def edits_since(history: History) -> list[Acknowledged]:
     return [e for e in history.commands() if isinstance(e.command, AnyEdit) and e.iteration == last]
 
 
+def earlier_edits(history: History) -> str:
+    """Return in words which edits were obeyed last by a run that has failed, and how they are changed; nothing where
+    nobody has asked for any."""
+    edits = [e for e in history.commands() if isinstance(e.command, AnyEdit) and e.sender != BY]
+    if not edits:
+        return ""
+    at = edits[-1].iteration
+    asked = ", ".join(e.message for e in edits if e.iteration == at)
+    return (
+        f"; in force since iteration {at} is what was asked for then ({asked}): where that is why, ask for something "
+        "else, which is obeyed when the run is resumed, or branch from before"
+    )
+
+
 def take_back(folder: RunFolder, task: Task, method: Method) -> list[AnyEvent]:
     """Put what was in force before the edits since the last iteration into its checkpoint.
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses
 import gzip
 import hmac
 import io
@@ -9,7 +10,7 @@ import logging
 import secrets
 from collections.abc import Callable
 from importlib.resources import files
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import msgspec
 import viser
@@ -17,6 +18,7 @@ import websockets.asyncio.client
 import websockets.asyncio.server
 from fastapi import APIRouter, Request, Response
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from viser import _messages as viser_messages
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
@@ -26,7 +28,8 @@ from websockets.typing import Subprotocol
 
 from morph_core.config import LARGEST
 from studio.credentials import KEY
-from studio.elements import element_of, settled
+from studio.elements import LONGEST_TEXT, element_of, is_there, settled
+from studio.retries import SCRIPT as RETRIES
 from studio.seldom import Seldom
 from studio.uploads import Uploads
 
@@ -51,7 +54,9 @@ MAX_PARTS = 64
 Word = Annotated[str, msgspec.Meta(max_length=500)]
 
 
-class UploadStart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransferStartUpload"):
+class UploadStart(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="type", tag="FileTransferStartUpload"
+):
     """Message by which a browser announces a file for an upload button."""
 
     source_component_uuid: Word
@@ -62,7 +67,7 @@ class UploadStart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransf
     size_bytes: Annotated[int, msgspec.Meta(ge=1, le=MAX_PARTS << 19)]
 
 
-class UploadPart(msgspec.Struct, frozen=True, tag_field="type", tag="FileTransferPart"):
+class UploadPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="type", tag="FileTransferPart"):
     """Message that carries one part of an announced file."""
 
     source_component_uuid: Word
@@ -75,7 +80,7 @@ Real = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
 Point = tuple[Real, Real, Real]
 
 
-class Camera(msgspec.Struct, frozen=True, tag_field="type", tag="ViewerCameraMessage"):
+class Camera(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="type", tag="ViewerCameraMessage"):
     """Message by which a browser tells where its user looks from."""
 
     wxyz: tuple[Real, Real, Real, Real]
@@ -91,14 +96,32 @@ class Camera(msgspec.Struct, frozen=True, tag_field="type", tag="ViewerCameraMes
 
 UPLOADS = frozenset({"FileTransferStartUpload", "FileTransferPart"})
 """Kinds of messages that are admitted where all their fields are as they should be."""
-_CHECKED = UploadStart | UploadPart | Camera
-_KINDS_CHECKED = UPLOADS | {"ViewerCameraMessage"}
+
+
+def _as_declared(kind: str) -> type[msgspec.Struct]:
+    """Return what a message of a kind consists of: the fields that viser declares, each of its type, and no others.
+
+    viser itself looks at neither, and keeps what it hands on to other browsers.
+    """
+    declared = getattr(viser_messages, kind)
+    types, fields = get_type_hints(declared), list[Any]()
+    for field in dataclasses.fields(declared):
+        if field.init:
+            default = [] if field.default is dataclasses.MISSING else [field.default]
+            fields.append((field.name, types[field.name], *default))
+    return msgspec.defstruct(kind, fields, tag_field="type", tag=kind, forbid_unknown_fields=True)
+
+
+_SHAPES: dict[str, type[msgspec.Struct]] = {kind: _as_declared(kind) for kind in ALLOWED} | {
+    "ViewerCameraMessage": Camera, "FileTransferStartUpload": UploadStart, "FileTransferPart": UploadPart,
+}  # fmt: skip
 
 _STYLE = (
     b"<style>.u-legend .u-value,.u-legend th::after{visibility:hidden}"
-    b".u-wrap:hover~.u-legend .u-value,.u-wrap:hover~.u-legend th::after{visibility:visible}</style>"
+    b".u-wrap:hover~.u-legend .u-value,.u-wrap:hover~.u-legend th::after{visibility:visible}</style>" + RETRIES
 )
-"""Style that lets a chart's legend show values only while the pointer is in the chart: elsewhere it has none."""
+"""Style that lets a chart's legend show values only while the pointer is in the chart: elsewhere it has none. With it
+goes the script that keeps a connection."""
 
 _log = logging.getLogger(__name__)
 
@@ -146,6 +169,8 @@ class GuardedViser:
         content = admit(message)
         if content is None:
             return None
+        if not is_there(self.server, content.get("uuid"), content.get("source_component_uuid")):
+            return None
         match content["type"]:
             case "GuiUpdateMessage":
                 return self._settled(message, content)
@@ -189,26 +214,23 @@ def admit(message: bytes) -> dict[str, Any] | None:
     numbers; None for any other."""
     try:
         content = msgspec.msgpack.decode(message)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError):
-        return None
-    kind = content.get("type") if isinstance(content, dict) else None
-    if not isinstance(kind, str) or kind not in ALLOWED | UPLOADS or not _can_be_held(content):
-        return None
-    if content["type"] in _KINDS_CHECKED:
-        try:
-            msgspec.convert(content, _CHECKED)
-        except msgspec.ValidationError:
+        shape = _SHAPES.get(content["type"])
+        if shape is None or not _can_be_held(content):
             return None
+        msgspec.convert(content, shape)
+    except (msgspec.MsgspecError, RecursionError, TypeError, KeyError, ValueError):  # Unicode's is a ValueError
+        return None
     if content["type"] == "GuiUpdateMessage":  # viser sets any attribute of that name
-        updates = content.get("updates")
-        return content if isinstance(updates, dict) and set(updates) <= {"value"} else None
+        return content if set(content["updates"]) <= {"value"} else None
     return content
 
 
 def _can_be_held(value: object) -> bool:
-    """Tell whether every number in it is one that viser can hand on to any browser."""
+    """Tell whether every number and word in it is one that viser can hand on to any browser."""
     if isinstance(value, int | float):
         return abs(value) <= LARGEST
+    if isinstance(value, str):
+        return len(value) <= LONGEST_TEXT
     if isinstance(value, dict):
         return all(_can_be_held(key) and _can_be_held(item) for key, item in value.items())
     if isinstance(value, list):

@@ -23,16 +23,20 @@ _PER_GRADIENT_STEP = 2e-3
 """Seconds that a gradient step of policy, critic and proxy takes however small it is."""
 
 
+class CostlyError(ValueError):
+    """A run whose iterations would take absurdly long, to which nobody has said yes; it says how long."""
+
+
 def seconds_per_iteration(task: Task, method: Method) -> float:
     """Return about how many seconds an iteration takes on this machine, evaluations and the search for phi included."""
     return _simulated(task, method) * seconds_per_step(task) + _learning(task, method)
 
 
 def check_cost(task: Task, method: Method, agreed: bool) -> None:
-    """Raise ValueError with the estimate where an iteration would take absurdly long and nobody has `agreed`."""
+    """Raise CostlyError with the estimate where an iteration would take absurdly long and nobody has `agreed`."""
     if agreed or (estimate := seconds_per_iteration(task, method)) < ABSURD:
         return
-    raise ValueError(
+    raise CostlyError(
         f"an iteration of this run would take {in_words(estimate)}, and only between two can it be stopped or steered: "
         "ask for less (trajectories, epochs, hidden, pairs, generations), or say yes to it with costly"
     )

@@ -24,6 +24,19 @@ def element_of(server: viser.ViserServer, uuid: object) -> Any:
     return None
 
 
+def is_there(server: viser.ViserServer, *names: object) -> bool:
+    """Tell whether each of some names, where there is one, is that of an element, form or command of some browser.
+
+    What names none is no business of viser's, which would keep some of it for every browser that comes.
+    """
+    known = [
+        names
+        for gui in (server.gui, *(client.gui for client in server.get_clients().values()))
+        for names in (gui._gui_input_handle_from_uuid, gui._container_handle_from_uuid, gui._command_handle_from_uuid)
+    ]
+    return all(name is None or any(name in names for names in known) for name in names)
+
+
 def settled(element: Any, value: object) -> object:
     """Return the value as the element may hold it; raise ValueError where it may not.
 

@@ -96,10 +96,6 @@ def told(field: Field) -> str:
     return f"{field.doc} Allowed: {field.range}." if field.range else field.doc
 
 
-_parsing = threading.Lock()
-"""Lock of the parser: Python 3.11's counts the depth of all threads together, and fails where two of them parse."""
-
-
 @functools.cache
 def docs_of(kind: type) -> dict[str, str]:
     """Return the string that follows each annotated field in the source, inherited ones too; Python keeps none."""
@@ -110,9 +106,12 @@ def docs_of(kind: type) -> dict[str, str]:
     return docs
 
 
+_one_at_a_time = threading.Lock()  # Python 3.11 fails where two threads parse at once: SystemError, recursion depth
+
+
 def _docs_in_source(kind: type) -> dict[str, str]:
     try:
-        with _parsing:
+        with _one_at_a_time:
             (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     except (OSError, TypeError, SyntaxError):
         return {}

@@ -11,6 +11,7 @@ import msgspec
 
 from morph_core import inside
 from morph_core.catalogue import make_task
+from morph_core.edits import AnyEdit
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, Evaluation, Kill, Parent, Resume, RunRecord, Status, Stop
 from morph_core.pulse import at_work
@@ -276,7 +277,7 @@ class Runs:
 
         `sender` says in words who sends it and by which way, for the log.
         Kill ends its trainer, and Stop takes a run that waits out of the queue; that no trainer acknowledges: the id
-        is 0.
+        is 0. What a run that has failed is to hold instead waits until it is resumed, and is obeyed before it goes on.
         """
         self._own(run_id, "steered")
         history = self.get(run_id)
@@ -292,7 +293,7 @@ class Runs:
         command = check_command(command, history.in_force, task)
         with self._histories.turn(run_id):
             alive, (status, _) = self._inquest.is_alive(history), self.status(history)
-        if not alive:
+        if not alive and not (status == "failed" and isinstance(command, AnyEdit)):  # obeyed when it is resumed
             if status != "queued":
                 raise ValueError(f"{run_id} is {status}: resume it, then send commands")
             if not isinstance(command, Stop) or not slurm_launch(history.folder):

@@ -14,7 +14,7 @@ from morph_core.run_folder import RunFolder
 
 _FORK = multiprocessing.get_context("forkserver")
 _FORK.set_forkserver_preload(
-    ["morph_core.train", "morph_core.evaluate", "cma", "studio.cli.train", "studio.cli.export"]
+    ["morph_core.train", "morph_core.evaluate", "cma", "studio.cli.train", "studio.cli.export", "studio.export.apart"]
 )
 
 

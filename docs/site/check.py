@@ -18,6 +18,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 LOOKED_AT = (
     "index.html", "docs/use.html", "docs/gallery.html", "docs/comparison.html", "examples/notebook.html",
     "CONTRIBUTING.html", "api/index.html", "docs/studies/pen/report.html", "docs/live/pen_press.html",
+    "docs/live/evolution-reacher.html",
 )  # fmt: skip
 """Pages that are opened in the browser: one of each kind."""
 SOUGHT = "divergence"

@@ -1,10 +1,12 @@
 """What the site holds: the documents where they lie in the repository, so that their links hold, the notebook, the API
 pages, and hands that run live."""
 
+import atexit
 import base64
 import functools
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -23,10 +25,15 @@ DOCUMENTS = (
 """The files of the repository that are pages of the site, and those that the pages show or link to."""
 REPORTS = "docs/studies/*/report.html"
 NOTEBOOK = "examples/notebook.ipynb"
-LIVE = "<!-- live hands -->"
-"""Place in the gallery where the hands are named that run in the page."""
-HANDS = {"pen_press": "The pen, live", "mouse_click": "The mouse, live"}
-"""Tasks whose trained hands are in the site, and what their links say."""
+LIVE = {
+    "<!-- live hands -->": {"pen_press": "The pen, live", "mouse_click": "The mouse, live"},
+    "<!-- live evolutions -->": {
+        "evolution-reacher": "The arm finds its way through the tunnel",
+        "evolution-pen_press": "The hand grows to hold the pen",
+        "evolution-mouse_click": "The hand grows to hold the mouse",
+    },
+}
+"""Places in the gallery where pages are named that the site alone has, and what the links to them say."""
 _COMMENT = re.compile(r"^<!-- .*? -->\n", re.MULTILINE)
 
 
@@ -48,8 +55,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, **_: object) -> str:
     """Name what the site alone has; leave out the comments by which tables are written, which hide what follows."""
-    named = markdown.replace(LIVE, "\n".join(f"- [{title}](live/{task}.html)" for task, title in HANDS.items()))
-    return _COMMENT.sub("\n", named.replace("notebook.ipynb)", "notebook.md)"))
+    for place, pages in LIVE.items():
+        links = "\n".join(f"- [{title}](live/{page}.html)" for page, title in pages.items())
+        markdown = markdown.replace(place, links)
+    return _COMMENT.sub("\n", markdown.replace("notebook.ipynb)", "notebook.md)"))
 
 
 def _without_dead_links(report: Path) -> str:
@@ -69,26 +78,33 @@ def _lying(path: Path, folder: Path, config: MkDocsConfig) -> File:
 def _made() -> Path:
     """Return a folder with the pages that are written by programs, made once for all builds of this process."""
     folder = Path(tempfile.mkdtemp(prefix="morph-site-"))
+    atexit.register(shutil.rmtree, folder)
     command = [sys.executable, "-W", "error::UserWarning", "-m", "pdoc", "--output-directory", folder / "api"]
     # subprocesses at import: glfw asks one for its library's version
     environment = {**os.environ, "PDOC_ALLOW_EXEC": "1"}
     subprocess.run([*command, "morph_core", "studio"], check=True, cwd=ROOT, env=environment)
-    _write_hands(folder / "docs" / "live")
+    _write_live(folder / "docs" / "live")
     return folder
 
 
-def _write_hands(folder: Path) -> None:
-    """Write hand.html of the trained hands that the tests keep."""
+def _write_live(folder: Path) -> None:
+    """Write hand.html of the trained hands that the tests keep, and the evolution of each recorded run."""
     sys.path.insert(0, str(ROOT))
     from morph_core.history import History
+    from studio.recordings import Recordings
+    from studio.show.evolution import build_evolution
     from studio.show.page import build_page
     from tests.hands import write_trained_run
 
     folder.mkdir(parents=True)
-    for task in HANDS:
+    for task in LIVE["<!-- live hands -->"]:
         with tempfile.TemporaryDirectory() as runs:
             page = build_page(History(write_trained_run(Path(runs), task)), "best")
         (folder / f"{task}.html").write_bytes(page.content)
+    recordings = Recordings()
+    for name in recordings.names():
+        history = recordings.get(name).history
+        (folder / f"evolution-{history.record.task}.html").write_bytes(build_evolution([history]).content)
 
 
 # --- the notebook as a page -------------------------------------------------------------------------------------------

@@ -50,8 +50,19 @@ _DYNAMICS = (
     "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "dof_armature", "dof_damping", "actuator_gainprm",
     "actuator_biasprm", "actuator_forcerange", "actuator_ctrlrange", "sensor_type",
 )  # fmt: skip
+_TOUCH = (
+    "geom_size", "geom_pos", "geom_quat", "geom_friction", "geom_bodyid", "geom_type", "geom_contype",
+    "geom_conaffinity", "geom_condim", "geom_margin", "geom_gap", "geom_solref", "geom_solimp", "geom_solmix",
+    "geom_priority", "geom_rbound",
+)  # fmt: skip
+"""What makes a shape collide as it does; of a mesh the bounding sphere stands for its corners."""
 _COUNTS = ("nbody", "njnt", "nv", "nu", "na", "neq", "ntendon", "npair", "nexclude", "nmocap", "nplugin", "nflex")
 """What the physics of a model consists of; shapes that are only shown, keyframes and sensors are added for readers."""
+_DRIVE = (
+    "dof_armature", "dof_damping", "dof_frictionloss", "jnt_stiffness", "jnt_axis", "actuator_gainprm",
+    "actuator_biasprm", "actuator_dynprm", "actuator_forcerange", "actuator_gear",
+)  # fmt: skip
+"""How joints move and are driven, wherever a file has their zero."""
 PROVENANCE = "provenance.json"
 
 
@@ -77,6 +88,8 @@ def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = Fals
         checks += prove_robot(files, design, task, phi, only_mujoco=only_mujoco)
         if episodes and "policy.npz" in files:
             checks += prove_policy(files, task, phi, _promised(files), episodes)[1]
+        elif "scene.xml" in files:
+            checks += _guarded("scene.xml in MuJoCo", lambda: [_prove_scene(files, task, phi)])
     except Exception as error:  # whatever is wrong with a stranger's file
         checks.append(Check(FILE, math.inf, 0.0, f"can't be read: {str(error) or type(error).__name__}"))
     return checks
@@ -133,11 +146,14 @@ def _prove_physics(files: Mapping[str, bytes], design: Design, task: Task, phi: 
 
 
 def compare_physics(name: str, simulated: mujoco.MjModel, found: mujoco.MjModel) -> Check:
-    """Compare every physics option of two models, and their numbers of bodies, joints, servos and colliding shapes."""
+    """Compare every physics option of two models, their joints and servos, and how many bodies and colliding shapes."""
     off: dict[str, float] = {}
     for option in (option for option in dir(simulated.opt) if not option.startswith("_")):
         one, other = (np.asarray(getattr(model.opt, option), dtype=float) for model in (simulated, found))
         off[option] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
+    for field in _DRIVE:
+        one, other = np.asarray(getattr(simulated, field)), np.asarray(getattr(found, field))
+        off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
     for count in _COUNTS:
         off[count] = float(abs(getattr(simulated, count) - getattr(found, count)))
     one, other = (int(((m.geom_contype != 0) | (m.geom_conaffinity != 0)).sum()) for m in (simulated, found))
@@ -156,6 +172,7 @@ def prove_robot(
         checks += _guarded("standing", lambda: _check_standing(files, design.robot, model))
     if (urdf := f"{design.robot}.urdf") in files:
         checks += _guarded(f"{urdf}: speeds", lambda: [_check_speeds(urdf, files[urdf], model, robot.speeds)])
+        checks += _guarded(f"{urdf}: frictions", lambda: [_check_frictions(urdf, files[urdf], model)])
     read = cache(lambda path: read_3mf(files[path]))  # a part's file is looked at as a part, and as a plate
     for part in design.parts:
         checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed, read))
@@ -189,6 +206,19 @@ def _check_speeds(path: str, content: bytes, model: mujoco.MjModel, speeds: Mapp
     }
     known = {name: speed for name, speed in expected.items() if name in found}  # a free base has no limit
     return worst(f"{path}: speeds", SCENE_ALLOWED, relative(known, found))
+
+
+def _check_frictions(path: str, content: bytes, model: mujoco.MjModel) -> Check:
+    """Compare the frictions of a URDF's joints with those that are simulated."""
+    names = urdf_names(model).joints
+    expected = {names[j]: float(model.dof_frictionloss[model.jnt_dofadr[j]]) for j in range(model.njnt)}
+    found = {
+        joint.get("name", ""): float(dynamics.get("friction", "0"))
+        for joint in ElementTree.fromstring(content).findall("joint")
+        if (dynamics := joint.find("dynamics")) is not None
+    }
+    known = {name: friction for name, friction in expected.items() if name in found}
+    return worst(f"{path}: frictions", SCENE_ALLOWED, relative(known, found))
 
 
 def prove_policy(
@@ -225,6 +255,14 @@ def prove_policy(
     return found, checks
 
 
+def _prove_scene(files: Mapping[str, bytes], task: Task, phi: np.ndarray) -> Check:
+    """Compare the scene of the files with the simulated one, where no policy is run in it."""
+    with tempfile.TemporaryDirectory() as folder:
+        unpack(files, Path(folder))
+        scene = _as_simulated(mujoco.MjSpec.from_file(str(Path(folder) / "scene.xml")), task, phi)
+        return _compare_scenes(task.scene(phi).compile(), scene.compile())
+
+
 def _as_simulated(scene: mujoco.MjSpec, task: Task, phi: np.ndarray) -> mujoco.MjSpec:
     """Return a scene that was read from its file with the zero of the task's joints, and the task's sensors."""
     scene = moved_zero(scene, {name: -value for name, value in robot_of(task).zero(phi).items()})
@@ -248,7 +286,7 @@ def _compare_scenes(simulated: mujoco.MjModel, reloaded: mujoco.MjModel) -> Chec
         off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
     off["timestep"] = abs(simulated.opt.timestep - reloaded.opt.timestep)
     touching = [(m.geom_contype != 0) | (m.geom_conaffinity != 0) for m in (simulated, reloaded)]
-    for field in ("geom_size", "geom_pos", "geom_quat", "geom_friction", "geom_bodyid"):
+    for field in _TOUCH:
         one, other = (getattr(m, field)[t] for m, t in zip((simulated, reloaded), touching, strict=True))
         off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
     return worst(name, SCENE_ALLOWED, off)

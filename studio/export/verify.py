@@ -21,6 +21,9 @@ from studio.export.readings import Reading, read_mjcf, read_urdf, read_yourdfpy
 from studio.export.ros import FOLDER, plain_urdf
 from studio.export.urdf import WORLD
 
+# MuJoCo would keep up to 500 MB of meshes by their paths, which are those of folders that are gone.
+mujoco.mj_setCacheCapacity(mujoco.mj_getCache(), 0)
+
 POSTURES = 100
 POSITION_ALLOWED = 1e-9  # m
 ROTATION_ALLOWED = 1e-9

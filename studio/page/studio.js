@@ -154,7 +154,7 @@ document.addEventListener("keydown", (event) => {
 
 // In presenter's mode there is nothing beside the scene but the words of this page: see #caption in its style.
 const SCENE = "[data-dock-root] > :has(canvas):not([data-dock-region])";
-const ALONE = `:root[data-presents] :is([data-dock-root] > :not(:has(canvas)), [data-dock-region], #root .mantine-Paper-root) { display: none !important; }
+const ALONE = `:root[data-presents] :is([data-dock-root] > :not(:has(canvas)), [data-dock-region], #root .mantine-Paper-root, #webgl-software-rendering) { display: none !important; }
 :root[data-presents] ${SCENE} { inset: 0 0 0 38% !important; }
 @media (max-aspect-ratio: 1/1) { :root[data-presents] ${SCENE} { inset: 0 0 38% 0 !important; } }`;
 

@@ -12,6 +12,7 @@ from morph_core.origin import Origin
 from morph_core.presets import PRESETS
 from morph_core.task import Task
 from studio import limits
+from studio.cost import CostlyError
 from studio.export.design_file import DESIGN_TYPES, Design, phi_for, read_design, starting_from
 from studio.fields import fields_of
 from studio.new_run import DEFAULT_ITERATIONS, Branch, StartRun, method_at, resettled, space_at
@@ -55,6 +56,9 @@ class StartPanel:
                 "iterations", _usual_iterations(task), min=1, max=limits.MAX_ITERATIONS, step=1,
                 hint="Each samples trajectories, learns from them, and searches for the next design.",
             )  # fmt: skip
+            self.costly = gui.add_checkbox(
+                "costly", False, visible=False, hint="Yes, start it although an iteration takes this long."
+            )
             self.start = gui.add_button("Start", color="green", icon=viser.Icon.PLAYER_PLAY)
             self.seed = gui.add_number(
                 "seed", 0, min=0, max=limits.LARGEST_SEED, step=1, hint="The same seed gives the same run."
@@ -154,6 +158,7 @@ class StartPanel:
             task_options=self._task_options(name),
             parameters=list(self._bounds.edited()[1]) or None if self._bounds else None,
             branch=Branch(self._origin.run, self._origin.iteration) if self._origin else None,
+            costly=self.costly.visible and self.costly.value,
         )
         return starting_from(self._design, wish, wish.task_options) if self._design else wish
 
@@ -170,10 +175,17 @@ class StartPanel:
             self._on_start(request, client)
         except (ValueError, OSError) as error:
             self.tell(str(error))
+            self._ask_for_yes(isinstance(error, CostlyError))
         else:
             self.tell(None)
+            self._ask_for_yes(False)
         finally:
             self.start.disabled = False
+
+    def _ask_for_yes(self, absurd: bool) -> None:
+        """Offer a box to say yes to iterations that take absurdly long; it is never ticked when it appears."""
+        if absurd != self.costly.visible:
+            self.costly.visible, self.costly.value = absurd, False
 
     def tell(self, sentence: str | None, colour: str = wording.RED) -> None:
         """Show a sentence above the form, where it is in sight, or none."""

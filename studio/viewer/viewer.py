@@ -97,6 +97,8 @@ class Viewer:
         """Whether the viewer has been told of the runs: until then nobody knows what is to be seen."""
         self._known: set[str] = set()
         self._lock = threading.RLock()
+        self._is_built = False
+        """Whether all panels are there: what a browser says before changes nothing on screen."""
         self._histories: Mapping[str, History] = {}
         self._statuses: Mapping[str, tuple[Status, str]] = {}
         self._suggested: str | None = None
@@ -172,6 +174,7 @@ class Viewer:
         self.timeline.panel.dock_below(gui.main_panel)
         add_deeds(gui, self._deeds())
         self._news = News()
+        self._is_built = True
         self._refresh()
 
     @property
@@ -463,6 +466,8 @@ class Viewer:
 
     def _refresh(self) -> None:
         """Bring every panel up to date with the selected run."""
+        if not self._is_built:
+            return
         with self._lock:
             run_id = self._selected
             history = self._histories.get(run_id) if run_id else None
@@ -514,6 +519,8 @@ class Viewer:
 
     def _turn(self) -> None:
         """Show another design: first the body, as a person waits for that, then all that is said of it."""
+        if not self._is_built:
+            return
         self._turns += 1
         turn = self._turns
         self._show_scene()

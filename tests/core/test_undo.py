@@ -102,7 +102,7 @@ def test_what_is_not_the_fault_of_an_edit_takes_none_back(
     assert History(folder).in_force.alpha == 5.0
 
 
-def test_a_failure_without_an_edit_before_it_takes_none_back(
+def test_a_later_failure_takes_no_edit_back_and_says_which_were_the_last(
     folder: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(task, method, state) -> Iterator[Progress]:
@@ -113,8 +113,23 @@ def test_a_failure_without_an_edit_before_it_takes_none_back(
     at_two(monkeypatch, SetAlpha(5.0))
     assert run(folder) == 1
     history = History(folder)
-    assert history.message == "TypeError: of its own"
+    assert history.message.startswith("TypeError: of its own; in force since iteration 2 is what was asked for then")
     assert history.in_force.alpha == 5.0
+    folder.send(SetAlpha(2.0))
+    monkeypatch.undo()
+    assert run(folder) == 0
+    history = History(folder)
+    assert [e.iteration for e in history.commands() if e.command == SetAlpha(2.0)] == [2]
+    assert [p.alpha for p in history.progress] == [1.0, 1.0, 2.0, 2.0]
+
+
+def test_where_nobody_has_asked_for_anything_no_command_is_named(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fail_when_edited(monkeypatch, TypeError("of its own"))
+    monkeypatch.setattr(Trainer, "_take_in", lambda *_: (_ for _ in ()).throw(TypeError("of its own")))
+    assert run(folder) == 1
+    assert History(folder).message == "TypeError: of its own"
 
 
 @pytest.mark.parametrize("alpha", [1e39, 1e308, -1.0])

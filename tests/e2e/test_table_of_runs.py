@@ -140,8 +140,18 @@ def test_runs_are_found_noted_archived_deleted_and_brought_back(server: Server, 
 @pytest.mark.usefixtures("runs")
 def test_runs_are_compared_and_a_design_is_opened_in_3d(server: Server, page: Page) -> None:
     complaints = open_runs(page, server)
+    for run in ("reacher-direct-s0", "reacher-direct-s1"):
+        row_of(page, run).get_by_role("checkbox").check()
+    evolution = page.get_by_role("button", name="Evolution")
+    with page.expect_download() as download:
+        evolution.click()
+    assert download.value.suggested_filename.endswith("-evolution.html")
+    html = download.value.path().read_text()
+    assert "reacher-direct-s0" in html
+    assert "reacher-direct-s1" in html
     page.get_by_role("checkbox", name="Select all runs that fit the filters").check()
     expect(page.locator("#chosen")).to_have_text("6 selected")
+    expect(evolution).to_be_disabled()
     rows_of(page).first.focus()
     page.keyboard.press("c")
     expect(page.locator("#compared")).to_have_text("6 runs compared")

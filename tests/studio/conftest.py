@@ -57,6 +57,7 @@ from studio.viewer.take import Take
 from studio.viewer.view import Seen, View
 from studio.viewer.viewer import Viewer
 from studio.what_if import SweepPoint, WhatIf, WhatIfs, Wish, sweep_designs
+from tests.hands import write_hand_run
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "a-token-of-the-tests"
@@ -172,32 +173,19 @@ def progress(iteration: int, **values: object) -> Progress:
 
 def make_hand_run(runs: Path, task: str, name: str = "20260101-000000-hand-direct-s0") -> RunFolder:
     """Return a run folder of a hand: one iteration whose first finger grew and moved, and its evaluation."""
-    made = make_task(task)
-    record = RunRecord(
-        id=name, task=task, method="direct", seed=0, iterations=10,
-        config=recorded(make_method("direct", made)), format=FORMAT,
-        parameters=list(made.design_space.parameters), versions={"python": "3"}, created=time.time(),
-    )  # fmt: skip
-    folder = create_run(runs, record)
-    phi = made.design_space.initial.tolist()
+    phi = make_task(task).design_space.initial.tolist()
     phi[0], phi[len(phi) // 2] = 0.1, phi[len(phi) // 2] + 0.05
-    log = EventLog(folder)
-    log.append(StateChanged(status="starting", iteration=0))
-    log.append(
+    events = (
         Progress(
             iteration=1, env_steps=5120, phi=phi, episode_return=-1.0, success=0.0, policy_std=0.5,
             relabelled_steps=1024, diverged=3,
-        )
-    )  # fmt: skip
-    log.append(
+        ),
         Evaluation(
             iteration=1, env_steps=5120, phi=phi, sampled_success=0.25, sampled_return=0.0, deterministic_success=0.5,
             deterministic_return=0.0, milestones={"lifted": 0.75, "pressed": 0.5}, diverged=2,
-        )
+        ),
     )  # fmt: skip
-    log.append(StateChanged(status="finished", iteration=1, message="as asked"))
-    log.close()
-    return folder
+    return write_hand_run(runs, task, phi, name, iterations=10, events=events)
 
 
 def design_of(history: History, phi: list[float]) -> Design:

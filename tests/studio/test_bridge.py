@@ -21,7 +21,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.sync.connection import Connection
 from websockets.typing import Origin, Subprotocol
 
-from studio.bridge import ALLOWED, MAX_MESSAGE, GuardedViser, admit, client_csp
+from studio.bridge import ALLOWED, MAX_MESSAGE, UPLOADS, GuardedViser, admit, client_csp
 
 VERSION = Subprotocol(f"viser-v{viser.__version__}")
 CAMERA = {
@@ -243,14 +243,73 @@ def test_every_allowed_kind_exists_in_viser() -> None:
     assert {kind for kind in ALLOWED if not hasattr(_messages, kind)} == set()
 
 
+RAY = {"ray_origin": [0, 0, 0.5], "ray_direction": [0, 0, 1], "modifier": None}
+UPLOAD = {"source_component_uuid": "u", "transfer_uuid": "t"}
+DRAG = {
+    "phase": "start", "instance_index": None, "start_position": [0, 0, 0], "start_screen_pos": [0.5, 0.5],
+    "end_position": [0, 0, 0], "end_screen_pos": [0.5, 0.5], "button": "left", "modifier": None,
+}  # fmt: skip
+RIGHT: dict[str, dict[str, Any]] = {
+    "ViewerCameraMessage": CAMERA,
+    "GuiUpdateMessage": {"uuid": "u", "updates": {"value": 1}},
+    "GuiButtonHoldMessage": {"uuid": "u", "frequency": 10},
+    **{kind: {"uuid": "u"} for kind in ("GuiFormDirtyMessage", "GuiFormSubmitMessage", "CommandTriggerMessage")},
+    "SceneNodeClickMessage": {"name": "/x", "instance_index": 3, "screen_pos": [0, 1], **RAY},
+    "SceneNodeDragMessage": {"name": "/x", **DRAG},
+    "ScenePointerMessage": {"event_type": "click", "screen_pos": [[0.5, 0.5]], **RAY},
+    "TransformControlsUpdateMessage": {"name": "/x", "wxyz": [1, 0, 0, 0], "position": [0, 0, 0]},
+    **{f"TransformControlsDrag{end}Message": {"name": "/x", "owner": ""} for end in ("Start", "End")},
+    "FileTransferPartAck": {**UPLOAD, "transferred_bytes": 1, "total_bytes": 2},
+    "FileTransferStartUpload": {
+        **UPLOAD, "filename": "f", "mime_type": "text/plain", "part_count": 1, "size_bytes": 1,
+    },
+    "FileTransferPart": {**UPLOAD, "part_index": 0, "content": b"x"},
+}  # fmt: skip
+"""A message of every kind that a browser may send, as viser's own client sends it."""
+
+
 def test_only_allowed_kinds_are_admitted() -> None:
     from viser import _messages
 
+    assert RIGHT.keys() == ALLOWED | UPLOADS
     kinds = {kind.__name__ for kind in _messages.Message.get_subclasses()}
-    admitted = {kind for kind in kinds if admit(msgspec.msgpack.encode({"type": kind, "updates": {"value": 1}}))}
-    assert admitted == ALLOWED & kinds - {"ViewerCameraMessage"}
-    assert admit(msgspec.msgpack.encode(CAMERA))
     assert len(kinds) > 100
+    for kind in kinds:
+        for fields in RIGHT.values():
+            said = admit(msgspec.msgpack.encode({**fields, "type": kind}))
+            assert said is None or kind in RIGHT
+    for kind, fields in RIGHT.items():
+        assert admit(msgspec.msgpack.encode({**fields, "type": kind})), kind
+
+
+ODD = st.none() | st.booleans() | st.text() | st.binary() | st.lists(st.integers(-(2**63), 2**63))
+
+
+@given(st.sampled_from(list(RIGHT)), st.data(), ODD)
+def test_what_viser_is_handed_is_a_message_as_it_declares_it(kind: str, data: st.DataObject, odd: object) -> None:
+    """Fields that are missing, of another type or too many make viser raise, or keep what it can't send."""
+    from viser import _messages
+
+    changed = {**RIGHT[kind], "type": kind, data.draw(st.sampled_from([*RIGHT[kind], "owner", "x"])): odd}
+    changed.pop(data.draw(st.sampled_from(["none", *RIGHT[kind]])), None)
+    content = msgspec.msgpack.encode(changed)
+    if admit(content):
+        assert type(_messages.Message.deserialize(content)).__name__ == kind
+
+
+def test_an_element_form_or_command_that_is_not_there_is_told_nothing(guarded: GuardedViser) -> None:
+    gui, browser = guarded.server.gui, object()
+    with gui.add_form("form"):
+        number = gui.add_number("number", 1)
+    (form,) = (uuid for uuid in gui._container_handle_from_uuid if uuid != "root")
+    there = {"GuiFormDirtyMessage": form, "GuiFormSubmitMessage": form, "GuiUpdateMessage": number._impl.uuid}
+    for kind, uuid in there.items():
+        for name, passes in ((uuid, True), ("another", False), ("", False)):
+            message = msgspec.msgpack.encode({**RIGHT[kind], "type": kind, "uuid": name})
+            assert (guarded.passed_on(message, browser) is not None) == passes
+    for kind in UPLOADS:
+        assert guarded.passed_on(msgspec.msgpack.encode({**RIGHT[kind], "type": kind}), browser) is None
+    assert not guarded.uploads._open
 
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf])

@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import stand_in
+from conftest import Page, stand_in
 from hypothesis import given
 from hypothesis import strategies as st
 
 from morph_core.catalogue import METHODS, TASKS, make_method, make_task
 from studio.cost import ABSURD, check_cost, in_words, seconds_per_iteration
-from studio.new_run import StartRun, prepare_run
+from studio.new_run import StartRun, prepare_run, record_of
 from studio.runs import Runs
 
 REACHER = make_task("reacher")
@@ -45,6 +45,26 @@ def test_what_an_iteration_takes_is_said_at_the_start(runs_folder: Path) -> None
     runs = Runs(runs_folder, stand_in)
     line = runs.summary(runs.start(StartRun(task="reacher")))
     assert line.status != "starting" or "an iteration takes about" in line.reason
+
+
+def test_the_form_asks_for_a_yes_where_it_is_needed_and_each_time_anew(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    form, begun = page.viewer.start, list[bool]()
+    monkeypatch.setattr(form, "_on_start", lambda request, _: begun.append(bool(record_of(request))))
+    form.submit(None)
+    assert not form.costly.visible
+    monkeypatch.setattr("studio.cost.ABSURD", 0.0)
+    for tries in (1, 2):
+        form.submit(None)
+        assert "an iteration of this run would take" in form.notice.content
+        assert form.costly.visible
+        assert not form.costly.value
+        form.costly.value = True
+        form.submit(None)
+        assert len(begun) == 1 + tries
+        assert not form.costly.visible
+        assert not form.notice.visible
 
 
 @given(st.floats(0, 1e9))

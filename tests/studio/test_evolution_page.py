@@ -383,8 +383,8 @@ def test_the_command_writes_the_page_and_says_what_it_lacks(tmp_path: Path, caps
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["r"], "give --check, which compares phi with what the run wrote, or --html PATH.html"),
-        (["r", "--check", "--html", "x.html"], "give --check, which compares phi"),
+        (["r"], "--html PATH.html, which writes the evolution as one page"),
+        (["r", "--check", "--html", "x.html"], "give one of --check"),
         (["r", "s", "--check"], "--check compares one run, not 2"),
         (["r", "--html", "x.html", "--until", "2"], "--until goes with --check"),
         (["r", "--html", "nowhere/x.html"], "there is no folder nowhere to write into"),

@@ -9,8 +9,10 @@ import zipfile
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from xml.etree import ElementTree
 
 import msgspec
+import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -24,7 +26,7 @@ from studio.export.bundle import robot_files
 from studio.export.check import Check
 from studio.export.design_file import Design, Value, read_design
 from studio.export.errors import ExportError
-from studio.export.proof import prove
+from studio.export.proof import _prove_scene, prove
 from studio.export.screen import screen
 from studio.robots.chooser import robot_of
 
@@ -60,6 +62,63 @@ def faults(files: Mapping[str, bytes]) -> list[str]:
 
 def test_an_honest_bundle_agrees(bundle: dict[str, bytes]) -> None:
     assert faults(bundle) == []
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_a_scene_in_which_something_that_moves_or_touches_differs_is_told(
+    bundle: dict[str, bytes], data: st.DataObject
+) -> None:
+    """Whether there is a policy to run in it or not."""
+    root = ElementTree.fromstring(bundle["scene.xml"])
+    touching = [e for e in root.iter("geom") if (e.get("contype"), e.get("conaffinity")) != ("0", "0")]
+    numbers = [
+        (element, name)
+        for element in [*touching, *root.iter("joint"), *root.iter("inertial"), *root.iter("body")]
+        for name in (
+            "pos",
+            "quat",
+            "size",
+            "mass",
+            "diaginertia",
+            "range",
+            "damping",
+            "armature",
+            "contype",
+            "friction",
+        )
+        if name in element.attrib and element.get("type") != "mesh" and (element.tag, name) != ("geom", "mass")
+    ]
+    element, name = data.draw(st.sampled_from(numbers))
+    words = element.attrib[name].split()
+    i = data.draw(st.integers(0, len(words) - 1))
+    words[i] = repr(float(words[i]) * 2 + 0.5) if name != "contype" else str(int(words[i]) + 4)
+    element.attrib[name] = " ".join(words)
+    phi = np.array([p.initial for p in TASK.design_space.parameters])
+    with contextlib.suppress(ValueError):  # MuJoCo's: it can't be built
+        assert not _prove_scene({**bundle, "scene.xml": ElementTree.tostring(root)}, TASK, phi).passed
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after"),
+    [
+        (XML, 'kp="', 'kp="9'),
+        (XML, 'armature="', 'armature="9'),
+        (XML, 'damping="', 'damping="9'),
+        (f"{ROBOT}.urdf", 'friction="0.0"', 'friction="0.9"'),
+        (f"{ROBOT}.urdf", 'damping="', 'damping="9'),
+    ],
+)
+def test_a_joint_or_servo_of_another_kind_is_told(bundle: dict[str, bytes], file: str, before: str, after: str) -> None:
+    changed = bundle[file].replace(before.encode(), after.encode(), 1)
+    assert changed != bundle[file]
+    assert faults({**bundle, file: changed})
+
+
+def test_of_what_is_read_nothing_is_kept(bundle: dict[str, bytes]) -> None:
+    """MuJoCo keeps meshes by their path: a server that exports would grow by 500 MB."""
+    prove(bundle, episodes=0)
+    assert mujoco.mj_getCacheCapacity(mujoco.mj_getCache()) == 0
 
 
 def inserted(text: str, where: str = "</mujoco>") -> Callable[[bytes], bytes]:

@@ -89,6 +89,8 @@ def test_an_evolution_goes_forward_through_all_iterations_and_ends_with_the_epis
     iterations = [m.iteration for m in moments if m.act != "episode"]
     assert iterations == sorted(iterations)
     assert {0, 5} <= {*iterations}
+    steps = np.diff([m.iteration for m in moments if m.act == "evolution"])
+    assert steps.max() <= 5 / min(len(steps), 200)  # no leaps
     assert sum(m.act == "evolution" for m in moments) == round(seconds * fps)
     times = [m.time for m in moments if m.act == "episode"]
     assert times == [frame / fps for frame in range(len(times))]

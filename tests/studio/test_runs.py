@@ -175,6 +175,8 @@ def test_a_killed_trainer_is_told_with_its_signal_and_can_be_resumed(runs_folder
     os.kill(trainer_of(runs, run_id), signal.SIGKILL)
     assert eventually(lambda: runs.summary(run_id).status == "failed", 5)
     assert "SIGKILL" in runs.summary(run_id).reason
+    runs.send(run_id, SetAlpha(2.0))  # what it is to hold when it is resumed
+    assert [order.command for _, order in RunFolder(runs_folder / run_id).pending() if order] == [SetAlpha(2.0)]
     with pytest.raises(ValueError, match="is failed: resume it"):
         runs.send(run_id, Pause())
     runs.resume(run_id)

@@ -3,6 +3,7 @@
 const ASPECT = 1.2; // of a view that is to be neither wide nor high
 const AIR = 1.12; // of what is framed, how much larger the picture is
 const SLOW_FRAME = 24; // ms: with frames that are slower on average the picture becomes simpler
+const FEWEST_FRAMES = 9, LONGEST_LOOK = 1500; // frames and ms after which it is judged whether they are slow
 const QUALITIES = [[2, true], [1.25, true], [1, false], [0.7, false], [0.5, false]]; // most pixels for one of CSS; shadows
 
 /** Frame a ball: seen along `sight`, with its centre in the middle. Lengths are in m. */
@@ -132,8 +133,9 @@ class Stage {
   /** Make the picture simpler if frames take too long: `ms` since the one before. */
   pace(ms) {
     this.frames.push(ms);
-    if (this.frames.length < 45) return;
-    const middle = this.frames.sort((a, b) => a - b)[22];
+    const { length } = this.frames, passed = this.frames.reduce((sum, one) => sum + one, 0);
+    if (length < FEWEST_FRAMES || (length < 45 && passed < LONGEST_LOOK)) return;
+    const middle = this.frames.sort((a, b) => a - b)[length >> 1];
     this.frames = [];
     if (middle > SLOW_FRAME && this.quality < QUALITIES.length - 1) {
       this.quality++;
