@@ -94,10 +94,6 @@ class Camera(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field=
     far: Real
 
 
-UPLOADS = frozenset({"FileTransferStartUpload", "FileTransferPart"})
-"""Kinds of messages that are admitted where all their fields are as they should be."""
-
-
 def _as_declared(kind: str) -> type[msgspec.Struct]:
     """Return what a message of a kind consists of: the fields that viser declares, each of its type, and no others.
 
@@ -112,9 +108,9 @@ def _as_declared(kind: str) -> type[msgspec.Struct]:
     return msgspec.defstruct(kind, fields, tag_field="type", tag=kind, forbid_unknown_fields=True)
 
 
-_SHAPES: dict[str, type[msgspec.Struct]] = {kind: _as_declared(kind) for kind in ALLOWED} | {
-    "ViewerCameraMessage": Camera, "FileTransferStartUpload": UploadStart, "FileTransferPart": UploadPart,
-}  # fmt: skip
+UPLOADS = {"FileTransferStartUpload": UploadStart, "FileTransferPart": UploadPart}
+"""Messages of a file that is uploaded, which are counted as well."""
+_SHAPES = {kind: _as_declared(kind) for kind in ALLOWED} | {"ViewerCameraMessage": Camera} | UPLOADS
 
 _STYLE = (
     b"<style>.u-legend .u-value,.u-legend th::after{visibility:hidden}"

@@ -853,12 +853,12 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/bridge.py", "studio/test_bridge.py::test_only_allowed_kinds_are_admitted",
-        ('content.get("type") not in ALLOWED | UPLOADS', '"type" not in content'),
+        ('_SHAPES.get(content["type"])', '_SHAPES.get(content["type"], dict)'),
     ),
     *_of(
         "studio/bridge.py",
         "studio/test_bridge.py::test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives",
-        ('isinstance(updates, dict) and set(updates) <= {"value"}', "isinstance(updates, dict)"),
+        ('content if set(content["updates"]) <= {"value"} else None', "content"),
     ),
     # --- the report of a study ---
     *_of(
