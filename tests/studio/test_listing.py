@@ -162,7 +162,7 @@ def _torn(path: Path) -> None:
 
 
 def _of_another_version(path: Path) -> None:
-    path.write_text(path.read_text().replace('"made_by":"', '"made_by":"7'))
+    path.write_text(path.read_text().replace('"made_by":"', '"made_by":"7').replace('"success":0.5', '"success":0.25'))
 
 
 def _a_folder(path: Path) -> None:
