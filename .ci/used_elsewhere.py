@@ -49,6 +49,7 @@ _.method_titles
 _.mime_type
 _.part_count
 _.part_index
+_.phase
 _.phi_moved
 _.policy_iteration
 _.policy_std

@@ -26,6 +26,7 @@ from morph_core.history import History
 from morph_core.protocol import Status
 from morph_core.run_folder import RunFolderError
 from studio.album import Album
+from studio.api.audience import audience_router
 from studio.api.compare import compare_router
 from studio.api.designs import designs_router, imports_router
 from studio.api.desks import desks_router
@@ -39,10 +40,11 @@ from studio.api.shelf import shelf_router
 from studio.api.study import study_router
 from studio.api.tasks import tasks_router
 from studio.api.what_if import what_if_router
+from studio.audience import Audience
 from studio.branches import tree_of
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
 from studio.browser import open_in_browser
-from studio.desks import Desks
+from studio.desks import Desks, Presenting
 from studio.evaluator import Evaluator, EvaluatorError
 from studio.export.bundle import Bundle, build_bundle
 from studio.new_run import Branch, StartRun
@@ -55,6 +57,7 @@ from studio.seldom import SaidOnce
 from studio.settings import Settings
 from studio.shelf import trash
 from studio.shelf.thumbnails import Thumbnails
+from studio.spectators import spectators_router
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
@@ -88,6 +91,10 @@ class Shows(Protocol):
 
     def turn_to(self, run_id: str, iteration: int | None) -> None:
         """Let every browser show this run, and the design of an iteration."""
+        ...
+
+    def presenting(self, key: str | None) -> Presenting | None:
+        """Return the browser of this key, by default the one that has been there longest; None where there is none."""
         ...
 
     def stop(self) -> None:
@@ -166,7 +173,8 @@ def create_app(
 ) -> FastAPI:
     """Return the application.
 
-    `app.state` holds `settings`, `access`, `stopping`, `runs`, `evaluator` and, while it runs, `viser` and `desks`.
+    `app.state` holds `settings`, `access`, `audience`, `stopping`, `runs`, `evaluator` and, while it runs, `viser` and
+    `desks`.
 
     New runs are started by `launcher`, by default as processes of this machine.
     """
@@ -176,6 +184,8 @@ def create_app(
     thumbnails = Thumbnails()
     album = Album(watched, thumbnails)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
+    access = Access(settings)
+    audience = Audience(access.invitation)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -200,8 +210,10 @@ def create_app(
             threading.Thread(target=keep_starting, args=(watched, done), name="queue", daemon=True).start()
             ends.callback(painter.join, 2.0)
             ends.callback(done.set)
-            yield
-            stopping.set()
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(audience.run, app.state.desks, stopping)
+                yield
+                stopping.set()
 
     app = _GuardedApp(
         title="MORPH Studio",
@@ -213,7 +225,8 @@ def create_app(
         max_body_size=MAX_BODY,
         telemetry={"tracing": False, "metrics": False, "logs": False},  # would carry the link's token elsewhere
     )
-    app.state.settings, app.state.access, app.state.stopping = settings, Access(settings), stopping
+    app.state.settings, app.state.access, app.state.stopping = settings, access, stopping
+    app.state.audience = audience
     app.state.runs, app.state.evaluator = watched, evaluator
     for router in (
         tasks_router(),
@@ -228,6 +241,8 @@ def create_app(
         shelf_router(watched, thumbnails),
         news_router(News(watched), boot, stopping),
         desks_router(),
+        audience_router(audience),
+        spectators_router(audience, access),
         viewer_router(),
         docs_router(),
     ):
@@ -323,6 +338,7 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
         raise SystemExit(1) from None
     app = create_app(settings, launcher=launcher)
     access: Access = app.state.access
+    audience: Audience = app.state.audience
     name = f"[{settings.host}]" if ":" in settings.host else settings.host
     address = f"http://{name}:{listener.getsockname()[1]}{settings.root_path}/"
 
@@ -333,6 +349,8 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
         # A given token stays out of a platform's and a proxy's logs; its owner knows it.
         shown = link if settings.token is None else f"{address}?token=...{mode}"
         print(f"MORPH Studio: {shown}", flush=True)  # noqa: T201
+        if settings.audience:
+            print(f"for an audience, who can only look: {address}{audience.open().link}", flush=True)  # noqa: T201
         if settings.open_browser:
             threading.Thread(target=open_in_browser, args=(link,), daemon=True).start()
 

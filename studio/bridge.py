@@ -8,6 +8,7 @@ import hmac
 import io
 import logging
 import secrets
+from collections.abc import Callable
 from importlib.resources import files
 from typing import Annotated, Any, get_type_hints
 
@@ -26,7 +27,7 @@ from websockets.http11 import Response as UpgradeResponse
 from websockets.typing import Subprotocol
 
 from morph_core.config import LARGEST
-from studio.desks import KEY
+from studio.credentials import KEY
 from studio.elements import LONGEST_TEXT, element_of, is_there, settled
 from studio.retries import SCRIPT as RETRIES
 from studio.seldom import Seldom
@@ -93,10 +94,6 @@ class Camera(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field=
     far: Real
 
 
-UPLOADS = frozenset({"FileTransferStartUpload", "FileTransferPart"})
-"""Kinds of messages that are admitted where all their fields are as they should be."""
-
-
 def _as_declared(kind: str) -> type[msgspec.Struct]:
     """Return what a message of a kind consists of: the fields that viser declares, each of its type, and no others.
 
@@ -111,9 +108,9 @@ def _as_declared(kind: str) -> type[msgspec.Struct]:
     return msgspec.defstruct(kind, fields, tag_field="type", tag=kind, forbid_unknown_fields=True)
 
 
-_SHAPES: dict[str, type[msgspec.Struct]] = {kind: _as_declared(kind) for kind in ALLOWED} | {
-    "ViewerCameraMessage": Camera, "FileTransferStartUpload": UploadStart, "FileTransferPart": UploadPart,
-}  # fmt: skip
+UPLOADS = {"FileTransferStartUpload": UploadStart, "FileTransferPart": UploadPart}
+"""Messages of a file that is uploaded, which are counted as well."""
+_SHAPES = {kind: _as_declared(kind) for kind in ALLOWED} | {"ViewerCameraMessage": Camera} | UPLOADS
 
 _STYLE = (
     b"<style>.u-legend .u-value,.u-legend th::after{visibility:hidden}"
@@ -296,23 +293,34 @@ def client_csp(host: str) -> str:
     )
 
 
+def client_page(style: bytes = b"") -> Callable[[Request], Response]:
+    """Return a function that answers a request with viser's client, with more style rules if wanted."""
+    head = _STYLE + (b"<style>" + style + b"</style>" if style else b"") + b"</head>"
+    page = files(viser).joinpath("client/build/index.html").read_bytes().replace(b"</head>", head, 1)
+    packed = gzip.compress(page, 6)
+
+    def answer(request: Request) -> Response:
+        zipped = "gzip" in request.headers.get("accept-encoding", "")
+        headers = {"Content-Security-Policy": client_csp(request.headers["host"]), "Vary": "Accept-Encoding"}
+        if zipped:
+            headers["Content-Encoding"] = "gzip"
+        return Response(packed if zipped else page, media_type="text/html", headers=headers)
+
+    return answer
+
+
 def viewer_router() -> APIRouter:
     """Return the page at /viewer/ and the websocket at /viewer, and both for a browser that brings the key of its desk.
 
     `app.state.viser` is the guarded server.
     """
     router = APIRouter(include_in_schema=False)
-    page = files(viser).joinpath("client/build/index.html").read_bytes().replace(b"</head>", _STYLE + b"</head>", 1)
-    packed = gzip.compress(page, 6)
+    page = client_page()
 
     @router.get("/viewer/")
     @router.get("/viewer/{key}/")
     def client(request: Request) -> Response:
-        zipped = "gzip" in request.headers.get("accept-encoding", "")
-        headers = {"Content-Security-Policy": client_csp(request.headers["host"]), "Vary": "Accept-Encoding"}
-        if zipped:
-            headers["Content-Encoding"] = "gzip"
-        return Response(packed if zipped else page, media_type="text/html", headers=headers)
+        return page(request)
 
     @router.websocket("/viewer")
     @router.websocket("/viewer/{key}")

@@ -1,7 +1,6 @@
 """A viewer for each browser: run, iteration and ticks are its own; what it asks of a run goes to the one run of all."""
 
 import logging
-import re
 import threading
 import warnings
 from collections.abc import Callable, Mapping
@@ -12,7 +11,9 @@ import viser
 
 from morph_core.history import History
 from morph_core.protocol import Status
+from studio.credentials import KEY
 from studio.viewer import wording
+from studio.viewer.scene_copy import SceneCopy
 from studio.viewer.view import Seen, View
 from studio.viewer.viewer import Viewer
 
@@ -20,8 +21,6 @@ MOST = 8
 """Largest number of browsers that are shown runs at once; another one waits until one of them leaves."""
 KEPT = 64
 """Largest number of views that are kept for browsers that are not connected."""
-KEY = re.compile(r"[A-Za-z0-9_-]{16,64}")
-"""What the key looks like under which a page finds its desk; the page draws it at random."""
 
 log = logging.getLogger(__name__)
 
@@ -32,8 +31,18 @@ class _Desk:
 
     client: viser.ClientHandle
     key: str | None
+    scene: SceneCopy
     viewer: Viewer | None = None
     begin: View | None = None
+
+
+@dataclass(frozen=True)
+class Presenting:
+    """The browser that an audience watches."""
+
+    client: viser.ClientHandle
+    viewer: Viewer
+    scene: SceneCopy
 
 
 class Desks:
@@ -91,6 +100,12 @@ class Desks:
             if desk.key == key:
                 viewer.put_back(view)
 
+    def presenting(self, key: str | None) -> Presenting | None:
+        """Return the browser of this key, by default the one that has been there longest; None where there is none."""
+        seated = self._seated()
+        found = seated[:1] if key is None else [one for one in seated if one[0].key == key][-1:]
+        return next((Presenting(desk.client, viewer, desk.scene) for desk, viewer in found), None)
+
     def stop(self) -> None:
         """End all viewers."""
         for _, viewer in self._seated():
@@ -109,7 +124,7 @@ class Desks:
 
     def _seat(self, client: viser.ClientHandle) -> None:
         """Make the viewer of a browser that has come, or let it wait where there are too many."""
-        desk = _Desk(client, key_of(client))
+        desk = _Desk(client, key_of(client), SceneCopy(client))
         with self._lock:
             full = len(self._desks) >= MOST
             if full:

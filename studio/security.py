@@ -12,14 +12,16 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Iterable
-from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
+from typing import Literal
 from urllib.parse import parse_qs, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from studio.credentials import cookie_of, same
+from studio.invitation import AUDIENCE, Invitation, may_ask
 from studio.seldom import Seldom
 from studio.settings import Settings
 from studio.visits import is_visit
@@ -37,6 +39,7 @@ PAGE_CSP = (
 MOST_GUESSES, MOST_GUESSES_OF_ALL, GUESSED_WITHIN = 20, 200, 60.0
 """Wrong tokens of one address, and of all together, in so many seconds, after which none is looked at. Who has the
 cookie is let in all the same."""
+_ONLY_LOOKS = "a spectator may only look: this belongs to whoever has the studio's token"
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -82,6 +85,7 @@ class Access:
         self._cookie = hmac.new(key, b"morph-studio cookie", hashlib.sha256).hexdigest()
         self._lock = threading.Lock()
         self.guesses = Guesses()
+        self.invitation = Invitation(f"morph_audience_{settings.port}")
         self.refused_sockets = Seldom(_log)
         """Warning about websockets that were refused."""
         self.on_ticket_used: Callable[[], None] = lambda: None
@@ -100,7 +104,7 @@ class Access:
     def redeem(self, ticket: str) -> bool:
         """Tell whether `ticket` lets a browser in; a one-time ticket is void afterwards."""
         with self._lock:
-            if not _same(ticket, self._ticket):
+            if not same(ticket, self._ticket):
                 return False
             if self._token is not None:
                 return True
@@ -110,11 +114,7 @@ class Access:
 
     def has_cookie(self, headers: Headers) -> bool:
         """Tell whether the request carries the cookie."""
-        try:
-            morsel = SimpleCookie(headers.get("cookie", "")).get(self.cookie_name)
-        except CookieError:
-            return False
-        return morsel is not None and _same(morsel.value, self._cookie)
+        return same(cookie_of(headers, self.cookie_name), self._cookie)
 
     def knows(self, headers: Headers, address: str = "") -> bool:
         """Tell whether the request carries the cookie, or the token where one was given; a wrong token is noted."""
@@ -123,15 +123,19 @@ class Access:
         bearer = _bearer(headers)
         if bearer is None:
             return False
-        if self._token is not None and _same(bearer, self._token):
+        if self._token is not None and same(bearer, self._token):
             return True
         self.guesses.note(address)
         return False
 
     def is_slowed(self, headers: Headers, ticket: str, address: str) -> bool:
-        """Tell whether the request brings a token that is not looked at: too many from there were wrong."""
+        """Tell whether the request brings a token, or a link, that is not looked at: too many from there were wrong."""
         brings_token = bool(ticket) or _bearer(headers) is not None
         return brings_token and not self.has_cookie(headers) and self.guesses.are_too_many(address)
+
+    def may_watch(self, headers: Headers) -> bool:
+        """Tell whether whoever asks may see what the audience sees: a spectator, or who has the token."""
+        return self.invitation.has_cookie(headers) or self.knows(headers)
 
     def refusal(self, headers: Headers) -> str | None:
         """Return why Host or Origin are wrong, or None. Whether Origin may be missing is left to the caller."""
@@ -179,8 +183,10 @@ class Guard:
         if path in OPEN_PATHS:
             return None
         address = _address_of(scope)
-        ticket = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0] if path in PAGES else ""
-        if self.access.is_slowed(headers, ticket, address):
+        query, invitation = parse_qs(scope["query_string"].decode("latin-1")), self.access.invitation
+        ticket = query.get("token", [""])[0] if path in PAGES else ""
+        link = query.get("link", [""])[0] if path == AUDIENCE and not invitation.has_cookie(headers) else ""
+        if self.access.is_slowed(headers, ticket or link, address):
             return JSONResponse(
                 {"detail": "too many wrong tokens: wait a minute"}, 429, {"Retry-After": str(int(GUESSED_WITHIN))}
             )
@@ -188,33 +194,42 @@ class Guard:
         if path in PAGES and scope["method"] in ("GET", "HEAD"):
             visit = is_visit(scope["method"], headers)
             if ticket and (known or (visit and self.access.redeem(ticket))):
-                return self._enter(scope, path)
+                return self._enter(scope, path, self.access.cookie_name, self.access.cookie, "strict")
             if not known:
                 if ticket and visit:
                     self.access.guesses.note(address)
                 return _login_page(path, bool(ticket) and visit, headers.get("sec-fetch-site") == "cross-site")
         if known:
             return None
+        if path == AUDIENCE or invitation.has_cookie(headers):
+            return self._look(scope, headers, path, link)
         return JSONResponse(
             {"detail": "no token: open the link that the server printed, or send Authorization: Bearer TOKEN"},
             401,
             {"WWW-Authenticate": "Bearer"},
         )
 
-    def _enter(self, scope: Scope, path: str) -> Response:
+    def _look(self, scope: Scope, headers: Headers, path: str, link: str) -> Response | None:
+        """Return the answer to a spectator, or to who becomes one by a link; None where the request may pass."""
+        invitation = self.access.invitation
+        if invitation.has_cookie(headers):
+            return None if may_ask(scope["method"], path) else JSONResponse({"detail": _ONLY_LOOKS}, 403)
+        if link and is_visit(scope["method"], headers):
+            if invitation.admits(link):
+                return self._enter(scope, path, invitation.cookie_name, invitation.cookie, "lax")
+            self.access.guesses.note(_address_of(scope))
+        return _uninvited_page()
+
+    def _enter(
+        self, scope: Scope, path: str, cookie_name: str, cookie: str, samesite: Literal["lax", "strict"]
+    ) -> Response:
         """Return the cookie and the way to the page, relative: proxies cut off a prefix, or put one before it.
 
         Of a link's other words only that the page begins in presenter's mode is kept.
         """
         presents = "present" in parse_qs(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         response = RedirectResponse(f".{path}{'?present=1' if presents else ''}", 303)
-        response.set_cookie(
-            self.access.cookie_name,
-            self.access.cookie,
-            httponly=True,
-            samesite="strict",
-            secure=scope["scheme"] == "https",
-        )
+        response.set_cookie(cookie_name, cookie, httponly=True, samesite=samesite, secure=scope["scheme"] == "https")
         return response
 
     async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -225,7 +240,11 @@ class Guard:
         elif self.access.is_slowed(headers, "", address):
             status = 429
         elif not self.access.knows(headers, address):
-            status = 401
+            path, invitation = scope["path"].removeprefix(scope.get("root_path", "")), self.access.invitation
+            if not invitation.has_cookie(headers):
+                status = 401
+            elif not may_ask("WEBSOCKET", path):
+                status = 403
         if not status:
             await self.app(scope, receive, send)
             return
@@ -291,10 +310,6 @@ def _same_origin(origin: str, host: str) -> bool:
     return scheme in ("http", "https") and netloc.lower() == host.lower()
 
 
-def _same(given: str, secret: str) -> bool:
-    return hmac.compare_digest(given.encode("utf-8", "replace"), secret.encode())
-
-
 _LOGIN_STYLE = (
     ":root{color-scheme:light dark}"
     "body{font:16px/1.5 system-ui,sans-serif;max-width:34rem;margin:18vh auto;padding:0 1.5rem}"
@@ -302,6 +317,15 @@ _LOGIN_STYLE = (
     "input,button{font:inherit;padding:.5em .8em;border-radius:.5em;border:1px solid #8886}"
     "input{width:16rem;max-width:60%}code{font-size:.95em}"
 )
+
+
+def _uninvited_page() -> Response:
+    """Return the page for a browser that asks for the page of spectators without a link that is good."""
+    return _plain_page(
+        "",
+        "<p>This link does not let anybody in: it was ended by the presenter, it belongs to an earlier start of the "
+        "studio, or a part of it is missing.</p><p>Ask the presenter for a new one.</p>",
+    )
 
 
 def _login_page(path: str, tried: bool, from_elsewhere: bool) -> Response:
@@ -316,14 +340,21 @@ def _login_page(path: str, tried: bool, from_elsewhere: bool) -> Response:
         if tried
         else "This studio is open to its owner only."
     )
+    return _plain_page(
+        again,
+        f"<p>{html.escape(reason)} Open the link that <code>morph-studio serve</code> printed, or paste its token:</p>"
+        '<form method="get"><input name="token" type="password" autocomplete="off" aria-label="Token" autofocus '
+        "required> <button>Enter</button></form>",
+    )
+
+
+def _plain_page(head: str, body: str) -> Response:
+    """Return a page for somebody who is not let in; head and body are HTML."""
     digest = style_digest(_LOGIN_STYLE)
     return HTMLResponse(
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>MORPH Studio</title>{again}'
-        f"<style>{_LOGIN_STYLE}</style></head><body><h1>MORPH Studio</h1><p>{html.escape(reason)} Open the link that "
-        '<code>morph-studio serve</code> printed, or paste its token:</p><form method="get">'
-        '<input name="token" type="password" autocomplete="off" aria-label="Token" autofocus required> '
-        "<button>Enter</button></form></body></html>",
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>MORPH Studio</title>{head}'
+        f"<style>{_LOGIN_STYLE}</style></head><body><h1>MORPH Studio</h1>{body}</body></html>",
         401,
         {"Content-Security-Policy": PAGE_CSP.replace("style-src 'self'", f"style-src '{digest}'")},
     )

@@ -94,6 +94,8 @@ class Settings:
     runs wait in a queue."""
     open_browser: bool = True
     """Whether to open the page in the browser once the server is up."""
+    audience: bool = False
+    """Whether to make and print a link for spectators, who can only look, once the server is up."""
     present: bool = False
     """Whether the printed link leads into presenter's mode."""
 

@@ -711,6 +711,20 @@ MUTANTS: tuple[Mutant, ...] = (
         ("max(0, self._budget - self._env_steps)", "self._budget"),
         ("self._pace.env_steps or self._longest_iteration", "1"),
     ),
+    # --- what was read of runs at rest ---
+    *_of(
+        "studio/index.py", "studio/test_listing.py",
+        ("known and known.stamp == stamp", "known"),
+        ("if kept.made_by != _made_by():", "if False:"),
+        ("entry.line.id == name and ", ""),
+        (" and entry.line.status in AT_REST", ""),
+        ("self._is_new = False  #", "pass  #"),
+    ),
+    *_of(
+        "studio/listing.py", "studio/test_listing.py",
+        ("None if is_watched else self._at_rest(folder, stamp)", "None"),
+        ("history.heartbeat and history.status in AT_REST", "history.status in AT_REST"),
+    ),
     *_of(
         f"{CORE}/pace.py", "core/test_pace.py",
         ("_mean(self._plain) or self._first", "self._first"),
@@ -839,12 +853,12 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/bridge.py", "studio/test_bridge.py::test_only_allowed_kinds_are_admitted",
-        ('content.get("type") not in ALLOWED | UPLOADS', '"type" not in content'),
+        ('_SHAPES.get(content["type"])', '_SHAPES.get(content["type"], dict)'),
     ),
     *_of(
         "studio/bridge.py",
         "studio/test_bridge.py::test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives",
-        ('isinstance(updates, dict) and set(updates) <= {"value"}', "isinstance(updates, dict)"),
+        ('content if set(content["updates"]) <= {"value"} else None', "content"),
     ),
     # --- the report of a study ---
     *_of(

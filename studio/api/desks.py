@@ -6,7 +6,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from fastapi import Path as InPath
 
 from studio.api.messages import body_of, gives, reply, takes
-from studio.desks import KEY
+from studio.credentials import KEY
 from studio.viewer.view import Seen, View
 
 

@@ -3,12 +3,14 @@
 import hashlib
 from collections.abc import Callable, Coroutine
 from types import UnionType
-from typing import TypeVar, cast
+from typing import Annotated, TypeVar, cast
 
 import msgspec
 from fastapi import Request, Response
 
 from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, Parameter, Progress
+from studio.audience import AudienceState
+from studio.credentials import KEY
 from studio.fields import Field
 from studio.lines import Row, Summary
 from studio.log import LogEntry
@@ -121,6 +123,19 @@ class Bulletin(msgspec.Struct, frozen=True):
     """Names of all runs in the order of the list where runs have come or gone; else None."""
     seen: Seen | None
     """What the browser shows whose key was sent."""
+
+
+class Invite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Wish to let spectators in."""
+
+    presenter: Annotated[str, msgspec.Meta(pattern=f"^{KEY.pattern}$")] | None = None
+    """Key of the browser that they watch; without it, the one that has been there longest."""
+
+
+class Follow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Whether a spectator's camera is the presenter's, or its own."""
+
+    follows: bool
 
 
 class Metrics(msgspec.Struct, frozen=True):
@@ -246,7 +261,7 @@ def versioned(answer: Response, known: str | None) -> Response:
 _KINDS = (
     StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Moment, Metrics, Designs, Checked, Health,
     Refusal, AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
-    View, Seen, Bulletin, RecordedRun,
+    View, Seen, Bulletin, RecordedRun, AudienceState, Invite, Follow,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

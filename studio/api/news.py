@@ -11,7 +11,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from studio.api.desks import Desks
 from studio.api.messages import Bulletin, gives, reply
-from studio.desks import KEY
+from studio.credentials import KEY
 from studio.news import News
 
 MAX_WAIT = 20.0

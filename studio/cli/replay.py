@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import tyro
 
 from morph_core.history import History
-from studio.cli.arguments import RunName, RunsArguments, UsageError, parse
+from studio.cli.arguments import RunsArguments, UsageError, parse
 from studio.cli.choice import open_run
 from studio.cli.evolution import write_evolution
 from studio.cli.film import FilmArguments, write_film
@@ -33,7 +33,7 @@ class ReplayArguments(RunsArguments):
     the same to the last bit, 1 where it differs.
     """
 
-    run: Annotated[tuple[RunName, ...], tyro.conf.Positional] = tyro.MISSING
+    run: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN...")] = ()
     """Run to replay: its name, or the path of its folder. With --html up to four runs of one task, side by side,
     with --video two; there, as with --still, RUN@DESIGN names a design of it."""
     check: bool = False
@@ -50,6 +50,8 @@ class ReplayArguments(RunsArguments):
 def main(words: Sequence[str]) -> int:
     """Run `morph-studio replay` with these words; return the exit status. UsageError says what is allowed."""
     arguments = parse(ReplayArguments, words, "replay")
+    if not arguments.run:
+        raise UsageError("replay: RUN is missing; see --help")
     film = arguments.film
     if [arguments.check, arguments.html is not None, film.is_wanted].count(True) != 1:
         raise UsageError(

@@ -31,6 +31,9 @@ class ServeArguments(RunsArguments):
     proxy of this machine, or one that FORWARDED_ALLOW_IPS names, may tell it by X-Forwarded-Prefix too."""
     no_browser: bool = False
     """Print the address of the studio without opening it in a browser, as is done over SSH and without a display."""
+    audience: bool = False
+    """Print a second link, for an audience: whoever opens it sees what the first browser shows, and can only look. The
+    page makes such a link too, and ends it."""
     present: bool = False
     """Begin in presenter's mode: large words over the scene, no panels; Enter trains live, Esc leaves it."""
     launcher: Literal["local", "slurm"] = "local"
@@ -51,6 +54,7 @@ def main(words: Sequence[str]) -> int:
             runs=arguments.runs,
             root_path=arguments.root_path,
             open_browser=not arguments.no_browser,
+            audience=arguments.audience,
             present=arguments.present,
             **given,
         )

@@ -88,6 +88,11 @@ class Player:
         return self._take
 
     @property
+    def time(self) -> float:
+        """Return the time in the episode, in seconds; 0 without one."""
+        return min(self._time, self._take.duration) if self._take else 0.0
+
+    @property
     def node_names(self) -> list[str]:
         """Return the sorted names of the nodes that the scene has."""
         ghosts = (self._ghost, *self._beside.values())

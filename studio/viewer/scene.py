@@ -319,6 +319,19 @@ def camera(
     return target + distance * direction, target
 
 
+def seen_elsewhere(
+    position: np.ndarray, target: np.ndarray, aspect: float, other: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return position (3,) and target (3,) of a camera that shows on a page with no panel what one shows on a page
+    like the studio's; `aspect` is width / height of that one, `other` of the page with no panel."""
+    away = position - target
+    if aspect < NARROW:  # the scene stands in the upper half, above the panel
+        _, up = screen_axes(away / np.linalg.norm(away))
+        target = target + _LIFT * np.linalg.norm(away) * math.tan(FIELD_OF_VIEW / 2) * up
+    factor = max(1.0, USUAL_ASPECT / other) / max(1.0, USUAL_ASPECT / aspect)
+    return target + factor * away, target
+
+
 def screen_axes(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the unit vectors (3,) that point right and up on the screen, for a camera in this direction (3,) from its
     target."""

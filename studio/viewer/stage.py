@@ -33,6 +33,12 @@ class Stage:
         """Tell whether a film is played, so that the scene is not to be touched."""
         return self.projector.history is not None
 
+    @property
+    def film(self) -> tuple[History, int] | None:
+        """Return the run and the iteration that a film shows now, or None while none is played."""
+        frame = self._frame
+        return frame[:2] if frame and self.plays_film else None
+
     def present(self, presents: bool) -> None:
         """Begin presenter's mode, or leave it."""
         self.presents = presents

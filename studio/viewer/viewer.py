@@ -29,6 +29,7 @@ from studio.viewer.looks import LooksPanel
 from studio.viewer.news import News
 from studio.viewer.playback import PlaybackPanel
 from studio.viewer.player import Player
+from studio.viewer.presented import Presented, presented, title_of
 from studio.viewer.recorded import RecordedPanel
 from studio.viewer.run import MORE, NOT_LIVE, RunPanel
 from studio.viewer.scene import Host, clients_of, light_up
@@ -219,6 +220,34 @@ class Viewer:
             self.select(run_id)
             if iteration is not None:
                 self.turn_to(iteration)
+
+    @property
+    def presented(self) -> tuple[Presented, History | None]:
+        """Return what is shown, for those who only look, and the run that is, if one is."""
+        with self._lock:
+            film = self.stage.film
+            if film is not None:
+                status = self._statuses.get(film[0].folder.id, (film[0].status, ""))[0]
+                return presented(*film, status, "its evolution in short", self.player), film[0]
+            history = self._histories.get(self._selected or "")
+            if history is None:
+                shot = self.player.take.shot if self.player.take else None
+                title = title_of(shot.task, shot.options) if shot else ""
+                return Presented(title=title, doing="a new run is being prepared" if shot else ""), None
+            status, _ = self._statuses.get(history.folder.id, (history.status, ""))
+            shown = self._shown_design(history)[0]
+            return presented(history, shown, status, self._doing, self.player), history
+
+    @property
+    def _doing(self) -> str:
+        """Return words on what the body in the scene does."""
+        if self.what_if.is_changed:
+            return "a body changed by hand"
+        if self.timeline.evolution.playing:
+            return "the evolution of the body, in its start posture"
+        beside = ", beside a second design" if self.compare.second_run else ""
+        take = self.player.take
+        return ("playing an episode" if take and take.duration else "in its start posture") + beside
 
     @property
     def view(self) -> View:

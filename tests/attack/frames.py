@@ -160,7 +160,7 @@ class Forger:
             "part_count": 2, "size_bytes": 1000, "part_index": 0, "content": b"{}", "updates": {"value": self._value()},
         }  # fmt: skip
         wild = {name: self._value() for name in right if self._chance(0.2)}
-        return msgspec.msgpack.encode(right | wild | {"type": self._of(sorted(ALLOWED | UPLOADS))})
+        return msgspec.msgpack.encode(right | wild | {"type": self._of(sorted(ALLOWED | UPLOADS.keys()))})
 
     def wild_value(self) -> bytes:
         """Return a value for an element that is there, or one for an attribute of it that nobody may set."""

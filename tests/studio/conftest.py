@@ -45,6 +45,7 @@ from studio.app import create_app
 from studio.branches import Member
 from studio.bridge import MAX_MESSAGE
 from studio.cancellation import Cancellation
+from studio.desks import Presenting
 from studio.export.bundle import Bundle
 from studio.export.check import Check
 from studio.export.design_file import Design, Value
@@ -400,6 +401,8 @@ class Blackboard:
     broken: bool = False
     selected: frozenset[str] = frozenset()
     views: dict[str, View] = field(default_factory=dict)
+    presents: Presenting | None = None
+    """The browser that an audience watches."""
 
     def show(
         self, histories: Mapping[str, History], statuses: Mapping[str, tuple[Status, str]], current: str | None
@@ -416,6 +419,10 @@ class Blackboard:
 
     def put(self, key: str, view: View) -> None:
         self.views[key] = view
+
+    def presenting(self, key: str | None) -> Presenting | None:
+        del key
+        return self.presents
 
     def stop(self) -> None:
         self.shown.append(([], {}, None))

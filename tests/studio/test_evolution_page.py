@@ -383,6 +383,7 @@ def test_the_command_writes_the_page_and_says_what_it_lacks(tmp_path: Path, caps
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
+        (["--html", "x.html"], "RUN is missing"),
         (["r"], "--html PATH.html, which writes the evolution as one page"),
         (["r", "--check", "--html", "x.html"], "give one of --check"),
         (["r", "s", "--check"], "--check compares one run, not 2"),

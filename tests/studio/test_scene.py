@@ -11,7 +11,7 @@ from viser._messages import Message, SceneNodeUpdateMessage
 from morph_core.catalogue import make_task
 from studio.viewer import shapes
 from studio.viewer.figure import Figure, smooth
-from studio.viewer.scene import FIELD_OF_VIEW, Layer, camera
+from studio.viewer.scene import FIELD_OF_VIEW, NARROW, USUAL_ASPECT, Layer, camera, seen_elsewhere
 
 MIXED = """
 <mujoco>
@@ -226,3 +226,15 @@ def test_in_a_narrow_page_a_scene_is_seen_above_the_panel() -> None:
         middle = (low + high) / 2 - position
         heights.append((middle @ up) / (middle @ forward) / np.tan(FIELD_OF_VIEW / 2))
     assert heights == pytest.approx([0.0, 0.45], abs=0.05)
+
+
+@pytest.mark.parametrize("other", [USUAL_ASPECT, 2.0])
+@pytest.mark.parametrize("aspect", [0.3, 0.46, NARROW, 1.8])
+def test_a_page_without_a_panel_sees_a_scene_as_large_as_any_other_page(aspect: float, other: float) -> None:
+    box = np.array([-8.0, -1.0, -0.1]), np.array([4.0, 10.0, 5.0])
+    usual = camera(*box)
+    shown = seen_elsewhere(*camera(*box, min(aspect, USUAL_ASPECT)), aspect, other)
+    assert np.linalg.norm(shown[1] - usual[1]) < 0.3
+    assert np.linalg.norm(shown[0] - shown[1]) == pytest.approx(np.linalg.norm(usual[0] - usual[1]), rel=0.25)
+    farther = seen_elsewhere(*camera(*box), USUAL_ASPECT, USUAL_ASPECT / 2)
+    assert np.linalg.norm(farther[0] - farther[1]) == pytest.approx(2 * np.linalg.norm(usual[0] - usual[1]))

@@ -1,0 +1,24 @@
+"""What a browser is known by: its cookies, and the key that each of its pages has drawn."""
+
+import hmac
+import re
+from http.cookies import CookieError, SimpleCookie
+
+from starlette.datastructures import Headers
+
+KEY = re.compile(r"[A-Za-z0-9_-]{16,64}")
+"""What the key of a page looks like; the page draws it at random."""
+
+
+def cookie_of(headers: Headers, name: str) -> str:
+    """Return the value of the cookie of that name, empty where a request carries none."""
+    try:
+        morsel = SimpleCookie(headers.get("cookie", "")).get(name)
+    except CookieError:
+        return ""
+    return morsel.value if morsel is not None else ""
+
+
+def same(given: str, secret: str) -> bool:
+    """Tell whether what was given is the secret, in a time that does not tell how much of it is right."""
+    return hmac.compare_digest(given.encode("utf-8", "replace"), secret.encode())
