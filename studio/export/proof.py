@@ -156,8 +156,7 @@ def compare_physics(name: str, simulated: mujoco.MjModel, found: mujoco.MjModel)
         off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
     for count in _COUNTS:
         off[count] = float(abs(getattr(simulated, count) - getattr(found, count)))
-    one, other = (int(((m.geom_contype != 0) | (m.geom_conaffinity != 0)).sum()) for m in (simulated, found))
-    off["colliding shapes"] = float(abs(one - other))
+    off |= _touching_off(simulated, found)
     return worst(f"{name}: physics options and what there is", SCENE_ALLOWED, off)
 
 
@@ -285,11 +284,17 @@ def _compare_scenes(simulated: mujoco.MjModel, reloaded: mujoco.MjModel) -> Chec
         one, other = np.asarray(getattr(simulated, field)), np.asarray(getattr(reloaded, field))
         off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
     off["timestep"] = abs(simulated.opt.timestep - reloaded.opt.timestep)
-    touching = [(m.geom_contype != 0) | (m.geom_conaffinity != 0) for m in (simulated, reloaded)]
+    return worst(name, SCENE_ALLOWED, off | _touching_off(simulated, reloaded))
+
+
+def _touching_off(simulated: mujoco.MjModel, found: mujoco.MjModel) -> dict[str, float]:
+    """Return how far the shapes of two models that can touch others are apart, by what makes them collide."""
+    off = {}
+    touching = [(m.geom_contype != 0) | (m.geom_conaffinity != 0) for m in (simulated, found)]
     for field in _TOUCH:
-        one, other = (getattr(m, field)[t] for m, t in zip((simulated, reloaded), touching, strict=True))
+        one, other = (getattr(m, field)[t] for m, t in zip((simulated, found), touching, strict=True))
         off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
-    return worst(name, SCENE_ALLOWED, off)
+    return off
 
 
 def unpack(files: Mapping[str, bytes], folder: Path) -> None:

@@ -105,6 +105,7 @@ def test_a_scene_in_which_something_that_moves_or_touches_differs_is_told(
         (XML, 'kp="', 'kp="9'),
         (XML, 'armature="', 'armature="9'),
         (XML, 'damping="', 'damping="9'),
+        (XML, 'conaffinity="2"', 'conaffinity="3"'),
         (f"{ROBOT}.urdf", 'friction="0.0"', 'friction="0.9"'),
         (f"{ROBOT}.urdf", 'damping="', 'damping="9'),
     ],
