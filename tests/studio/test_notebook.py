@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import nbformat
@@ -237,7 +238,8 @@ def test_a_training_that_says_itself_that_it_fails_is_no_result(
 
 def test_an_interrupt_stops_a_training_after_its_iteration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(notebook, "spawn_trainer", stand_in)
-    monkeypatch.setattr(notebook.time, "sleep", interrupting(time.sleep))
+    interrupted = SimpleNamespace(sleep=interrupting(time.sleep))  # for the notebook alone: other threads sleep, too
+    monkeypatch.setattr(notebook, "time", interrupted)
     run = train("reacher", runs=tmp_path, iterations=7, seed=3)
     assert run.history.status == "stopped"
     assert (run.history.record.iterations, run.history.record.seed) == (7, 3)
