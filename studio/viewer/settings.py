@@ -1,6 +1,7 @@
 """The settings of a new run as a form: what the chosen task, method, exploration and search leave to choose."""
 
 import math
+import threading
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -31,6 +32,7 @@ class SettingsForm:
         """The settings that are folded away, by dotted name."""
         self._folders: list[viser.GuiFolderHandle] = []
         self._filling = False
+        self._folding = threading.Lock()
         self.alpha = gui.add_number("α", 1.0, min=0.0, max=LARGEST_ALPHA, step=0.1)
         self._explained = {"alpha": gui.add_html(explain.alpha())}
         self.projection = gui.add_dropdown("projection", [""])
@@ -101,18 +103,19 @@ class SettingsForm:
 
     def _fold(self, fields: Sequence[Field]) -> None:
         """Make the settings that are folded away anew, one folder for each part."""
-        for folder in self._folders:
-            folder.remove()
-        self._more, self._folders = {}, []
-        parts: dict[str, list[Field]] = {}
-        for field in fields:
-            if field.name not in self._in_sight:
-                parts.setdefault(field.name.rpartition(".")[0] or "more settings", []).append(field)
-        for part, inside in parts.items():
-            with self._slot:
-                self._folders.append(self._gui.add_folder(part.replace("_", " "), expand_by_default=False))
-            with self._folders[-1]:
-                self._more |= {field.name: self._add(field) for field in inside}
+        with self._folding:  # two browsers' values, or a value and another task, may come at once
+            for folder in self._folders:
+                folder.remove()
+            self._more, self._folders = {}, []
+            parts: dict[str, list[Field]] = {}
+            for field in fields:
+                if field.name not in self._in_sight:
+                    parts.setdefault(field.name.rpartition(".")[0] or "more settings", []).append(field)
+            for part, inside in parts.items():
+                with self._slot:
+                    self._folders.append(self._gui.add_folder(part.replace("_", " "), expand_by_default=False))
+                with self._folders[-1]:
+                    self._more |= {field.name: self._add(field) for field in inside}
 
     def _add(self, field: Field) -> Any:
         label = field.name.rpartition(".")[2].replace("_", " ").replace("minibatches", "mini-batches")  # may wrap there

@@ -133,7 +133,7 @@ class WhatIfPanel:
         self.policy.on_update(lambda event: self._choose_policy(event.client) if event.client else None)
         self.begin.on_click(lambda _: self.start())
         self.leave.on_click(lambda _: self.close())
-        self.reset.on_click(lambda _: self._set(self._recorded))
+        self.reset.on_click(lambda _: self._set(self._recorded) if self.open else None)
         self.sweep.on_click(lambda _: self._start_sweep())
         self.stop_sweep.on_click(lambda _: self._end_sweep())
         self.inject.on_click(lambda event: on_inject(self._phi.tolist, event.client))

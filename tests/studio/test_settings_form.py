@@ -1,5 +1,7 @@
 """The settings of a new run as a form: what is shown is what does something, and only what differs is asked for."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
 from conftest import Page
 
@@ -88,3 +90,11 @@ def test_a_number_offers_the_range_that_its_field_has(page: Page) -> None:
     gamma = page.viewer.start.settings._more["ppo.gamma"]
     assert (gamma.min, gamma.max) == (0.0, 1.0)
     assert "Allowed: > 0, ≤ 1" in gamma.hint
+
+
+def test_choices_that_come_at_once_leave_one_form(page: Page) -> None:
+    form = page.viewer.start.settings
+    with ThreadPoolExecutor(4) as pool:
+        for chosen in [pool.submit(form._choose_part) for _ in range(12)]:
+            chosen.result()
+    assert len(form._folders) == len(form._slot._children)

@@ -238,6 +238,16 @@ def test_a_branch_begins_with_the_body_and_its_bounds_and_locks_give_way(folder:
     assert (second.locked_at, third.locked_at) == (1.5, None)
 
 
+def test_a_press_on_what_is_not_in_sight_changes_nothing(page: Page, folder: RunFolder) -> None:
+    page.show(folder)
+    panel = page.viewer.what_if
+    asked = len(page.answers.asked)
+    for button in (panel.reset, panel.leave, panel.sweep, panel.stop_sweep):
+        click(button)
+    assert not panel.open
+    assert len(page.answers.asked) == asked
+
+
 def test_there_is_nothing_to_change_without_a_run(page: Page) -> None:
     panel = page.viewer.what_if
     assert not panel.begin.visible
