@@ -69,7 +69,7 @@ def test_a_full_disk_pauses_the_run_wherever_it_is_met(
         with monkeypatch.context() as patch:
             disk = FullDisk(patch, folder, at)
             history = trained(folder)
-        assert disk.refused == 3
+        assert disk.refused == min(3, disk.calls - at)  # the last heartbeat is not tried again
         assert history.status == "finished"
         assert learnt(history) == learnt(whole)
         assert [e.seq for e in history.events] == list(range(1, len(history.events) + 1))

@@ -155,10 +155,10 @@ def test_where_phi_is_frozen_it_stays_and_every_episode_runs_on_it(method: str) 
 @pytest.mark.parametrize(("success", "frozen"), [(0.5, True), (0.49, False)])
 def test_phi_is_frozen_once_enough_trajectories_succeed(success: float, frozen: bool) -> None:
     state = start(TASK, SMALL, 0)
-    rollout = SimpleNamespace(steps=1, diverged=0, success_rate=success, mean_return=0.0)
+    rollout = SimpleNamespace(steps=1, diverged=0, seconds=0.0, success_rate=success, mean_return=0.0)
     state.advance(1, rollout, freeze_success=0.5)  # pyright: ignore[reportArgumentType]
     assert state.frozen == frozen
-    rollout = SimpleNamespace(steps=1, diverged=0, success_rate=0.0, mean_return=0.0)
+    rollout = SimpleNamespace(steps=1, diverged=0, seconds=0.0, success_rate=0.0, mean_return=0.0)
     state.advance(2, rollout, freeze_success=0.5)  # pyright: ignore[reportArgumentType]
     assert state.frozen == frozen  # it does not thaw by itself
 

@@ -13,7 +13,7 @@ from morph_core.run_folder import EventLog, RunFolder
 from studio.viewer import explain
 from studio.viewer.news import GOAL, News
 
-SIGNS = {"←": "arrowleft", "→": "arrowright", "Space": "space"}
+SIGNS = {"←": "arrowleft", "→": "arrowright", "Space": "space", "Enter": "enter", "Esc": "escape"}
 
 
 @pytest.fixture

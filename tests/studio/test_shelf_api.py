@@ -45,7 +45,7 @@ def test_the_table_says_what_each_run_has_come_to(served: Served, ended: RunFold
     assert outcome["env_steps"] == 300
     assert 0 <= outcome["seconds"] < 5
     assert outcome["best"] == outcome["last"] == {
-        "iteration": 3, "success": 0.5, "episode_return": 0.0, "phi": [2.7] * 5,
+        "iteration": 3, "success": 0.5, "episode_return": 0.0, "phi": [2.7] * 5, "milestones": {},
     }  # fmt: skip
     assert row["marks"] == {
         "starred": False, "name": "", "note": "", "tags": [], "archived": False, "starred_designs": [],
