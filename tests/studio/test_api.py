@@ -1,5 +1,6 @@
 """The API says what there is, does what it is asked, and refuses with a sentence what it can't do."""
 
+import contextlib
 import io
 import json
 import time
@@ -15,6 +16,7 @@ import pytest
 from conftest import TOKEN, Served, eventually, make_run, serving
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
+from hypothesis.errors import Unsatisfiable
 
 from morph_core.catalogue import make_method, make_task
 from morph_core.config import paths_of
@@ -23,6 +25,7 @@ from morph_core.protocol import Pause, StateChanged
 from morph_core.run_folder import EventLog, RunFolder
 from studio.settings import Settings
 
+HEALTHY = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.filter_too_much]
 TYPES = (
     "pause", "resume", "step", "stop", "checkpoint", "set_alpha", "set_projection", "set_bound", "lock", "unlock",
     "inject_design",
@@ -327,7 +330,8 @@ def test_the_evolution_is_downloaded_as_a_page_and_never_opened_as_one_of_ours(
     assert answer.text.startswith("<!doctype html>")
     again = served.client.get(f"/api/runs/{ended.id}/evolution.html", params={"beside": ended.id})
     assert "a run stands beside others once" in refused(again)
-    assert ended.id in refused(served.client.get(f"/api/runs/{ended.id}/evolution.html?beside=nobody"), 404)
+    unknown = served.client.get(f"/api/runs/{ended.id}/evolution.html?beside=nobody")
+    assert 'unknown run "nobody"; choose from: ended-' in refused(unknown, 404)
 
 
 def test_an_export_is_a_zip_with_mjcf_urdf_and_provenance(served: Served, ended: RunFolder) -> None:
@@ -456,3 +460,33 @@ def test_the_docs_list_every_route_and_need_no_other_server(served: Served) -> N
     assert "http://" not in page.text.replace("http://www.w3.org", "")
     assert "<script" not in page.text
     assert {"StartRun", "Summary", "Progress", Pause.__name__} <= set(schema["components"]["schemas"])
+
+
+@pytest.mark.slow
+def test_schemathesis_finds_no_server_error(served: Served, ended: RunFolder) -> None:
+    """Values that the schema allows and some that it does not; the run in the path is a real one half of the time."""
+    import schemathesis
+
+    schema = schemathesis.openapi.from_dict(served.client.get("/openapi.json").json())
+    answers: list[int] = []
+    for found in schema.get_all_operations():
+        operation: Any = found
+        for mode in ("positive", "negative"):
+            _fuzz(operation.ok(), schemathesis.GenerationMode(mode), served, ended.id, answers)
+    assert len(answers) > 300
+    assert max(answers) < 500
+
+
+def _fuzz(operation: Any, mode: Any, served: Served, run_id: str, answers: list[int]) -> None:
+    @given(case=operation.as_strategy(generation_mode=mode), real=st.booleans())
+    @hypothesis.settings(max_examples=25, deadline=None, suppress_health_check=HEALTHY, database=None)
+    def fuzz(case: Any, real: bool) -> None:
+        if real and "run_id" in (case.path_parameters or {}):
+            case.path_parameters["run_id"] = run_id
+        if operation.path.endswith("/events"):
+            case.query = {**(case.query or {}), "follow": "false"}
+        answer = case.call(base_url=str(served.client.base_url), headers=dict(served.client.headers), timeout=20)
+        answers.append(answer.status_code)
+
+    with contextlib.suppress(Unsatisfiable):  # a route without parameters has nothing to get wrong
+        fuzz()

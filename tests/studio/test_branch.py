@@ -299,7 +299,7 @@ def test_a_replay_is_compared_and_a_difference_reported(
 @pytest.mark.parametrize(
     ("command", "sentence"),
     [
-        (("replay", "{run}"), "replay: give --check"),
+        (("replay", "{run}"), "replay: give one of --check"),
         (("replay", "{run}", "--check", "--until", "9"), "must be an iteration of .* (1 to 4), not 9"),
         (("train", "--branch", "{run}@9"), "has no iteration 9; choose 0 to 4"),
         (("train", "--branch", "{run}@two"), "RUN or RUN@ITERATION, with a whole number"),
