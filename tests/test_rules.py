@@ -2,8 +2,10 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -93,3 +95,14 @@ def test_no_two_test_files_are_one_module_to_pytest() -> None:
     files = [path for path in (ROOT / "tests").rglob("test_*.py") if not (path.parent / "__init__.py").exists()]
     twice = {path.name for path in files if [other.name for other in files].count(path.name) > 1}
     assert not twice, f"outside of packages a test file needs a name of its own; given twice: {sorted(twice)}"
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("studio/page/*.html")), ids=lambda page: page.name)
+def test_no_two_scripts_of_a_page_have_a_name_in_common(page: Path) -> None:
+    """Scripts that aren't modules share one scope: the later one's function takes the place of the earlier one's."""
+    scripts = [
+        (page.parent / name).read_text() for name in re.findall(r'<script src="page/([\w-]+\.js)"', page.read_text())
+    ]
+    declaration = re.compile(r"^(?:async )?(?:function|const|let|class) +(\w+)", re.MULTILINE)
+    declared = Counter(name for script in scripts for name in set(declaration.findall(script)))
+    assert [name for name, count in declared.items() if count > 1] == []

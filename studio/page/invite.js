@@ -47,7 +47,7 @@ function showAudience() {
   part("reach").hidden = !open || !/^(localhost|127\.|\[::1\])/.test(location.hostname);
 }
 
-async function present() {
+async function invite() {
   sessionStorage.setItem(PRESENTS, "yes");
   await ofAudience("POST", { presenter: key });
 }
@@ -61,8 +61,8 @@ find("invite").addEventListener("click", async () => {
   find("audience").showModal();
   await ofAudience("GET");
 });
-part("make").addEventListener("click", present);
-part("here").addEventListener("click", present);
+part("make").addEventListener("click", invite);
+part("here").addEventListener("click", invite);
 part("end").addEventListener("click", async () => {
   sessionStorage.removeItem(PRESENTS);
   await ofAudience("DELETE");
@@ -78,6 +78,6 @@ find("audience").addEventListener("close", focusViewer);
 find("invite").hidden = !has3d; // without a viewer this page has nothing to show to others
 
 // After a reload this page has another key: it goes on presenting, where it did.
-askAudience("GET").then(() => audience.open && sessionStorage.getItem(PRESENTS) && present(), () => null);
+askAudience("GET").then(() => audience.open && sessionStorage.getItem(PRESENTS) && invite(), () => null);
 showAudience();
 countAudience();

@@ -45,7 +45,9 @@ def test_a_person_branches_from_a_finished_run(server: Server, page: Page) -> No
     enter(frame.locator("body"), "α", 0.5)
     press(frame, "Start")
 
-    folders = wait_for("the branch", lambda: [p for p in server.runs.iterdir() if p.name != parent.id], 20)
+    folders = wait_for(
+        "the branch", lambda: [p for p in server.runs.iterdir() if p.is_dir() and p.name != parent.id], 20
+    )
     branch = RunFolder(folders[0])
     record = branch.record()
     assert (record.begins_at, record.iterations, record.config["alpha"]) == (4, 7, 0.5)

@@ -80,7 +80,7 @@ def robot_of(frame: Frame) -> bytes:
 
 def nodes_of(frame: Frame) -> list[str]:
     """Return the names of what the browser's scene holds."""
-    return frame.evaluate("() => Object.keys(window.__viserSceneTree.getState())")
+    return frame.evaluate("() => Object.keys(window.__viserSceneTree?.getState() ?? {})")
 
 
 def charts_of(frame: Frame) -> list[str]:
