@@ -56,4 +56,6 @@ def test_an_idle_page_with_600_ended_runs_costs_less_than_a_kilobyte_a_second(
             expect(page.locator("#count")).to_have_text("599 runs", timeout=20_000)
         else:
             expect(page.locator("#words")).to_contain_text(f"{names[0]} is no longer in the folder", timeout=20_000)
-            expect(page.locator("#chooser option")).to_have_count(600 + len(Recordings().names()))  # with the one that is gone
+            expect(page.locator("#chooser option")).to_have_count(
+                600 + len(Recordings().names())
+            )  # with the one that is gone
