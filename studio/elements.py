@@ -29,12 +29,12 @@ def is_there(server: viser.ViserServer, *names: object) -> bool:
 
     What names none is no business of viser's, which would keep some of it for every browser that comes.
     """
-    known = [
-        names
+    tables = [
+        table
         for gui in (server.gui, *(client.gui for client in server.get_clients().values()))
-        for names in (gui._gui_input_handle_from_uuid, gui._container_handle_from_uuid, gui._command_handle_from_uuid)
+        for table in (gui._gui_input_handle_from_uuid, gui._container_handle_from_uuid, gui._command_handle_from_uuid)
     ]
-    return all(name is None or any(name in names for names in known) for name in names)
+    return all(name is None or any(name in table for table in tables) for name in names)
 
 
 def settled(element: Any, value: object) -> object:

@@ -23,7 +23,7 @@ from websockets.sync.client import ClientConnection
 
 from studio.bridge import ALLOWED, MAX_MESSAGE, UPLOADS
 from tests.attack.outcome import Outcome
-from tests.attack.target import CAMERA, Target, target
+from tests.attack.target import CAMERA, Target, beside, target
 from tests.studio.conftest import make_run
 
 KINDS = tuple(sorted(kind.__name__ for kind in _messages.Message.get_subclasses()))
@@ -230,19 +230,11 @@ def _look_for_escapes(server: Target, outcome: Outcome) -> None:
 @contextlib.contextmanager
 def _bystander(server: Target, outcome: Outcome) -> Iterator[None]:
     """Watch from a browser and by a request every second; note what must not come, and the longest wait."""
-    ended, slowest = threading.Event(), [0.0]
-    both = [
-        threading.Thread(target=_watch, args=(server, ended, outcome)),
-        threading.Thread(target=_ask, args=(server, ended, slowest, outcome)),
-    ]
-    for thread in both:
-        thread.start()
+    slowest = [0.0]
     try:
-        yield
+        with beside(lambda ended: _watch(server, ended, outcome), lambda ended: _ask(server, ended, slowest, outcome)):
+            yield
     finally:
-        ended.set()
-        for thread in both:
-            thread.join(60)
         outcome.figures["longest wait of another client, s"] = round(slowest[0], 2)
 
 

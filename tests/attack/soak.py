@@ -18,7 +18,7 @@ from websockets.exceptions import ConnectionClosed
 from morph_core.history import History
 from morph_core.run_folder import RunFolder
 from tests.attack.outcome import Outcome
-from tests.attack.target import CAMERA, Target, target, wait_for
+from tests.attack.target import CAMERA, Target, beside, target, wait_for
 from tests.studio.conftest import make_run
 
 AT_REST = 1.0
@@ -126,16 +126,8 @@ def _steps(history: History) -> int:
 @contextlib.contextmanager
 def _open_page(server: Target, told: list[int]) -> Iterator[None]:
     """Keep open what a page of the studio keeps open: the viewer's websocket, and the question for news."""
-    ended = threading.Event()
-    both = [threading.Thread(target=work, args=(server, ended, told)) for work in (_look, _ask)]
-    for thread in both:
-        thread.start()
-    try:
+    with beside(lambda ended: _look(server, ended, told), lambda ended: _ask(server, ended, told)):
         yield
-    finally:
-        ended.set()
-        for thread in both:
-            thread.join(60)
 
 
 def _look(server: Target, ended: threading.Event, told: list[int]) -> None:

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -96,6 +97,21 @@ class Target:
                 found.append(" | ".join(part.strip() for part in lines[max(began, number - 5) : number + 1])[:600])
                 began = None
         return found
+
+
+@contextlib.contextmanager
+def beside(*works: Callable[[threading.Event], object]) -> Iterator[None]:
+    """Do each work in a thread of its own meanwhile; each gets the event that tells it to end."""
+    ended = threading.Event()
+    threads = [threading.Thread(target=work, args=(ended,)) for work in works]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join(60)
 
 
 @contextlib.contextmanager
