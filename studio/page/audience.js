@@ -77,8 +77,8 @@ function draw(element, series, { name, min, max }) {
   const axis = { type: "value", nameTextStyle: { color: css("--faint"), fontSize: 12 }, axisLabel: { color: css("--faint"), fontSize: 12, hideOverlap: true, formatter: (v) => String(+v.toPrecision(4)).replace("-", "−") }, axisLine: { lineStyle: { color: css("--faint") } }, splitLine: { lineStyle: { color: css("--line") } } };
   chartIn(element).setOption({
     animation: false, textStyle: { fontFamily: getComputedStyle(document.body).fontFamily, color: css("--text") },
-    grid: { left: 46, right: 14, top: 26, bottom: 40 },
-    legend: { show: series.length > 1, top: 0, left: 60, right: 0, padding: 0, itemGap: 12, icon: "roundRect", itemWidth: 12, itemHeight: 4, textStyle: { color: css("--text"), fontSize: 12 } },
+    grid: { left: 46, right: 14, top: series.length > 1 ? 34 : 26, bottom: 40 },
+    legend: { show: series.length > 1, top: 2, left: 60, right: 0, padding: 4, itemGap: 12, icon: "roundRect", itemWidth: 12, itemHeight: 4, textStyle: { color: css("--text"), fontSize: 12 } },
     xAxis: { ...axis, name: "iteration", nameLocation: "middle", nameGap: 24, splitLine: { show: false }, min: "dataMin", max: "dataMax" },
     yAxis: { ...axis, name, nameLocation: "end", nameGap: 8, min, max, scale: min === undefined },
     series: series.map(({ label, colour, points }) => ({ type: "line", name: label, data: points, color: colour, symbol: points.length > 1 ? "none" : "circle", lineStyle: { width: 2.2 } })),
@@ -170,6 +170,7 @@ function stop(sentence, again) {
   events.close();
   seated = false;
   scene.removeAttribute("src");
+  find("watching").textContent = "";
   say(sentence, again !== null);
   if (again !== null) setTimeout(listen, again);
 }

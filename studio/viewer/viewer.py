@@ -228,7 +228,7 @@ class Viewer:
             film = self.stage.film
             if film is not None:
                 status = self._statuses.get(film[0].folder.id, (film[0].status, ""))[0]
-                return presented(*film, status, "its evolution in short", self.player), film[0]
+                return presented(*film, status, self._labelled(film[0], "its evolution in short"), self.player), film[0]
             history = self._histories.get(self._selected or "")
             if history is None:
                 shot = self.player.take.shot if self.player.take else None
@@ -236,7 +236,12 @@ class Viewer:
                 return Presented(title=title, doing="a new run is being prepared" if shot else ""), None
             status, _ = self._statuses.get(history.folder.id, (history.status, ""))
             shown = self._shown_design(history)[0]
-            return presented(history, shown, status, self._doing, self.player), history
+            return presented(history, shown, status, self._labelled(history, self._doing), self.player), history
+
+    def _labelled(self, history: History, words: str) -> str:
+        """Return words on what is seen of a run, after those that stand wherever a recorded run is seen."""
+        run_id = history.folder.id
+        return f"{self._recordings.get(run_id).label} · {words}" if run_id in self._recordings else words
 
     @property
     def _doing(self) -> str:

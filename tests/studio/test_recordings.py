@@ -249,6 +249,7 @@ def test_the_start_page_plays_the_recorded_run_of_the_chosen_task_where_there_is
         assert viewer.stage.projector.history is recording(task).history
         assert visit.take(lambda take, task=task: take.shot.task == task)
         assert recording(task).origin.chosen.split(";")[0] in viewer.recorded.about.content
+    assert viewer.presented[0].doing.startswith(recording(viewer.start.task.value).label), "spectators are told, too"
     place = viewer.stage.projector._place
     assert eventually(lambda: viewer.stage.projector._place > place)
     viewer.open("elsewhere")
@@ -291,6 +292,7 @@ def test_an_opened_one_is_labelled_and_starts_live_by_one_press(visit: Page) -> 
     assert eventually(lambda: caption(visit))
     assert str(caption(visit)["label"]) == recording("pen_press").label
     assert not caption(visit)["presents"]
+    assert visit.viewer.presented[0].doing.startswith(recording("pen_press").label)
     assert visit.viewer.recorded.live.visible
     assert not visit.viewer.run.branch.visible
     visit.viewer._train_live(None)
