@@ -70,7 +70,6 @@ def _in_range(value: object, whole: bool, lo: float | None, hi: float | None, sl
     if whole and value != int(value):
         raise ValueError(f"{_short(value)} is no whole number")
     lo, hi = max(-LARGEST, -LARGEST if lo is None else lo), min(LARGEST, LARGEST if hi is None else hi)
-    slack = 0.0 if whole else slack
     if not lo - slack <= value <= hi + slack:
         raise ValueError(f"{_short(value)} lies outside of {lo:g} to {hi:g}")
     return min(max(value, lo), hi)

@@ -801,7 +801,6 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         "studio/elements.py", "attack/test_viewer_values.py",
         ("if whole and value != int(value)", "if False"),
-        ("slack = 0.0 if whole else slack", "slack = slack"),
         ("return min(max(value, lo), hi)", "return value"),
     ),
     *_of(
@@ -850,6 +849,36 @@ MUTANTS: tuple[Mutant, ...] = (
         (" or not _can_be_held(content)", ""),
         ("all(_can_be_held(key) and _can_be_held(item) for key, item in value.items())", "True"),
         ("return all(_can_be_held(item) for item in value)\n", "return True\n"),
+    ),
+    # --- the audience ---
+    *_of(
+        "studio/invitation.py", "studio/test_audience.py",
+        ("any(method == allowed and pattern.fullmatch(path) for", "any(pattern.fullmatch(path) for"),
+        ("pattern.fullmatch(path)", "pattern.match(path)"),
+        ("        self._ticket = None\n\n    def admits", "        pass\n\n    def admits"),
+        ("self._ticket is not None and same(cookie_of", "same(cookie_of"),
+    ),
+    *_of(
+        "studio/security.py", "studio/test_audience.py",
+        ('may_ask(scope["method"], path) else', "True else"),
+        ('elif not may_ask("WEBSOCKET", path)', "elif False"),
+        ("self.access.guesses.note(_address_of(scope))\n        return _uninvited", "pass\n        return _uninvited"),
+        ('if link and is_visit(scope["method"], headers)', "if link"),
+    ),
+    *_of(
+        "studio/audience.py", "studio/test_audience.py",
+        ("len(self._seats) >= MOST", "False"),
+        ("self.dismiss(ENDED)", "pass"),
+        ("known < self._count", "False"),
+        ("if seat.follows and", "if"),
+    ),
+    *_of(
+        "studio/elements.py", "studio/test_bridge.py",
+        ("name is None or any(name in table for table in tables)", "True"),
+    ),
+    *_of(
+        "studio/viewer/viewer.py", "studio/test_recordings.py",
+        (" if run_id in self._recordings else words", " if False else words"),
     ),
     *_of(
         "studio/bridge.py", "studio/test_bridge.py::test_only_allowed_kinds_are_admitted",

@@ -77,7 +77,10 @@ def test_what_the_next_iteration_fails_with_is_taken_back(
     assert (in_force.space, in_force.alpha, in_force.projection) == (before.space, before.alpha, before.projection)
     assert in_force.phi.tolist() == history.progress[-1].phi
     assert run(folder) == 0
-    assert History(folder).status == "finished"
+    history = History(folder)
+    assert history.status == "finished"
+    learnt_with = [(p.alpha, p.projection) for p in history.progress]
+    assert learnt_with == 4 * [(before.alpha, before.projection)], "the checkpoint, too, holds what was before"
 
 
 def at_two(monkeypatch: pytest.MonkeyPatch, edit: AnyCommand) -> None:

@@ -31,7 +31,7 @@ from morph_core.history import History
 from studio import audience as audience_module
 from studio.audience import Audience
 from studio.desks import Presenting
-from studio.invitation import Invitation
+from studio.invitation import Invitation, may_ask
 from studio.security import MOST_GUESSES, Guesses
 from studio.settings import Settings
 from studio.spectators import aspect_of
@@ -176,6 +176,19 @@ def test_no_odd_path_leads_a_spectator_further(hall: Hall, path: str) -> None:
         head = f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{hall.served.port}\r\nCookie: {cookie}\r\n\r\n"
         raw.sendall(head.encode())
         assert raw.recv(4096).split()[1] in (b"403", b"400")
+
+
+def test_what_is_allowed_is_so_by_one_method_alone() -> None:
+    for path in (
+        "/audience",
+        "/audience/events",
+        f"/audience/seats/{KEY}",
+        f"/audience/viewer/{KEY}",
+        "/page/theme.js",
+    ):
+        assert sum(may_ask(method, path) for method in ("GET", "PUT", "POST", "PATCH", "DELETE", "WEBSOCKET")) == 1, (
+            path
+        )
 
 
 def test_each_kind_of_message_but_the_camera_is_dropped_and_viser_hears_none(hall: Hall) -> None:
@@ -434,6 +447,8 @@ def test_a_camera_follows_the_presenters_until_a_spectator_looks_round(monkeypat
         stage.present = presenting(stage.scene, (5.0, 0.0, 0.0))
         stage.scene._insert_message(placed("a", 1.0))
         assert [m["type"] for m in await next_frame(frames)] == ["SetPositionMessage"]
+        stage.scene._insert_message(placed("a", 2.0))
+        assert [m["type"] for m in await next_frame(frames)] == ["SetPositionMessage"], "and no camera in between"
         stage.audience.follow(seat, True)
         assert await pointed(frames) == [5.0, 0.0, 0.0]
 

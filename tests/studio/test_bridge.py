@@ -180,6 +180,7 @@ def test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives(
             {"type": "FileTransferStartUpload", "source_component_uuid": uuid, "transfer_uuid": "t", "filename": "f",
              "mime_type": "text/plain", "part_count": 10**6, "size_bytes": 10**12},
             {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"update_cb": []}},
+            {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": 0.5, "update_cb": []}},
             {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": math.nan}},
             {"type": "RunJavascriptMessage", "source": "alert(1)"},
         ):  # fmt: skip

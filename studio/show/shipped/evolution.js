@@ -353,7 +353,7 @@ class Evolution {
   writeScale() {
     if (!this.actors) return;
     const { cell } = this.actors[0], entry = document.createElement("li");
-    entry.textContent = `squares of ${cell < 1 ? `${number(100 * cell)} cm` : `${number(cell)} m`}; pale: initial design`;
+    entry.textContent = `squares of ${cell < 1 ? `${number(100 * cell)} cm` : `${number(cell)} m`}; bodies as simulated, not as printed; pale: initial design`;
     $("legend").append(entry);
   }
 
