@@ -92,8 +92,10 @@ def test_a_peak_of_one_instant_is_a_fault_though_the_percentile_is_nothing() -> 
         (1.01 * sheet.stall_torque, 0, "peak torque"),
         (0, 1.01 * sheet.no_load_speed, "peak speed"),
     ):
-        (row,) = compared(Need("joint", False, torque * once, speed * once), wanted="XL430-W250").joints
+        table = compared(Need("joint", False, torque * once, speed * once), wanted="XL430-W250")
+        (row,) = table.joints
         assert (row.faults, row.torque_95, row.speed_95) == ([fault], 0, 0)
+        assert [c.suffices_for for c in table.servos if c.name == "XL430-W250"] == [0]
 
 
 def test_a_torque_above_the_rated_one_is_said_where_that_is_known() -> None:
