@@ -64,6 +64,15 @@ def state(page: Page) -> Any:
     return page.evaluate(STATE)
 
 
+def drawn_half_length(page: Page) -> float:
+    """Return half of the length (m) with which the first finger's link stands in the picture that comes next."""
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return page.evaluate(
+        """show.ready.then(({ actors: [{ run: { cast: { parts } }, shapes }] }) =>
+            shapes[parts.findIndex(({ name }) => name === 'finger_1_distal')].userData.half)"""
+    )
+
+
 def test_a_person_scrubs_plays_and_reads(pages: tuple[Path, Path], opened: Opened, page: Page) -> None:
     opened(pages[0])
     assert state(page)["mode"] == "evolution", "it plays by itself"
@@ -81,13 +90,10 @@ def test_a_person_scrubs_plays_and_reads(pages: tuple[Path, Path], opened: Opene
     assert state(page)["iterations"] == [10]
     page.keyboard.press("Home")
     expect(caption).to_contain_text("Initial design")
-    size = """show.ready.then(({ actors: [{ run: { cast: { parts } }, shapes }] }) =>
-        shapes[parts.findIndex(({ name }) => name === 'finger_1_distal')].userData.half)"""
-    initial = page.evaluate(size)
+    initial = drawn_half_length(page)
     page.get_by_label("Iteration that is shown").fill("12")
     assert state(page)["iterations"] == [12]
-    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    assert page.evaluate(size) == pytest.approx(0.11)  # m: half of the finger's link
+    assert drawn_half_length(page) == pytest.approx(0.11)
     assert initial != pytest.approx(0.11)
 
     plot = page.get_by_role("img", name="Return on Hw-Phy").bounding_box()
