@@ -24,7 +24,7 @@ from studio.export.coupon import STEPS, coupon
 from studio.export.errors import ExportError
 from studio.export.gauge import bore, fits_of, overhang, thinnest_wall
 from studio.export.layout import GAP
-from studio.export.pieces import pieces_of, solid_of
+from studio.export.pieces import pieces_of
 from studio.export.plate_picture import plate_picture
 from studio.export.plates import PIECES, Prints, dowels_bought, note_of, plan_prints, plate_title, print_files
 from studio.export.printers import DEFAULT, PRINTERS, Printer, printer_of
@@ -173,7 +173,7 @@ def test_a_link_that_is_too_long_is_cut_and_dowelled() -> None:
     made = pieces_of(part, DEFAULT)
     assert [piece.name for piece in made.pieces] == ["finger_1of2", "finger_2of2"]
     assert made.dowel == (8.0, 40.0)
-    whole, (one, other) = solid_of(part), (piece.solid for piece in made.pieces)
+    whole, (one, other) = part.solid, (piece.solid for piece in made.pieces)
     assert (one ^ other).volume() == pytest.approx(0, abs=1e-9)
     holes = [hole for hole in (whole - one - other).decompose() if hole.volume() > 1.0]  # others are rounded edges
     assert len(holes) == 2
