@@ -385,27 +385,31 @@ def test_the_slicer_takes_every_plate_without_a_warning(name: str, tmp_path: Pat
     task = make_task(name)
     lengths = (0.1, 0.3, 0.4) if name in HANDS and DESIGNS >= 100 else (0.3,)
     for length in lengths:
+        folder = tmp_path / f"{length:g}"
+        folder.mkdir()
         for path, content in print_files(prints_of(task, corner(task, length))).items():
             if path.startswith("plates/") and path.endswith(".3mf"):
-                (tmp_path / "plate.3mf").write_bytes(content)
-                assert sliced(slicer, tmp_path, DEFAULT) == [], (length, path)
+                (folder / Path(path).name).write_bytes(content)
+        assert sliced(slicer, folder, DEFAULT) == [], length
 
 
-def sliced(slicer: str, folder: Path, printer: Printer) -> list[str]:
-    """Slice plate.3mf where its bodies lie; return the lines of what the slicer says that are a complaint."""
+def sliced(slicer: str, folder: Path, printer: Printer, *options: str) -> list[str]:
+    """Slice the plates of a folder, bodies where they lie; return the lines of what the slicer says that complain."""
     x, y, z = printer.size
+    plates = sorted(path.name for path in folder.glob("*.3mf"))
     done = subprocess.run(
         [
             slicer, "--loglevel=2", "--export-gcode", "--dont-arrange", f"--bed-shape=0x0,{x}x0,{x}x{y},0x{y}",
-            f"--max-print-height={z}", "--output", "plate.gcode", "plate.3mf",
+            f"--max-print-height={z}", *options, *plates,
         ],
-        cwd=folder, capture_output=True, text=True, timeout=250, check=False,
+        cwd=folder, capture_output=True, text=True, timeout=250 * len(plates), check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    printed = re.findall(r"^G1 X(\S+) Y(\S+) E", (folder / "plate.gcode").read_text(), re.MULTILINE)
-    places = np.array(printed, float)
-    assert len(places) > 1000
-    assert (places > 0).all()
-    assert (places < printer.size[:2]).all()
+    for plate in plates:
+        printed = re.findall(r"^G1 X(\S+) Y(\S+) E", (folder / plate).with_suffix(".gcode").read_text(), re.MULTILINE)
+        places = np.array(printed, float)
+        assert len(places) > 1000, plate
+        assert (places > 0).all(), plate
+        assert (places < printer.size[:2]).all(), plate
     words = ("warn", "error", "empty", "outside", "fail", "repair", "unstable")
     return [line for line in (done.stdout + done.stderr).splitlines() if any(word in line.lower() for word in words)]
