@@ -47,6 +47,7 @@ from studio.browser import open_in_browser
 from studio.desks import Desks, Presenting
 from studio.evaluator import Evaluator, EvaluatorError
 from studio.export.bundle import Bundle, build_bundle
+from studio.memory import map_large_blocks
 from studio.new_run import Branch, StartRun
 from studio.news import News
 from studio.patience import PatientProtocol
@@ -336,6 +337,7 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
     except OSError as error:
         print(f"can't listen on {settings.host}:{settings.port}: {error.strerror or error}", file=sys.stderr)  # noqa: T201
         raise SystemExit(1) from None
+    map_large_blocks()
     app = create_app(settings, launcher=launcher)
     access: Access = app.state.access
     audience: Audience = app.state.audience

@@ -401,7 +401,7 @@ def _check_mass(path: str, surface: Surface, density: float, model: mujoco.MjMod
 def _check_enclosed(path: str, surface: Surface, model: mujoco.MjModel, link: str) -> list[Check]:
     """Check that a part is inside the box round its link's collision shapes."""
     body = body_of(model, link)
-    box = collision_box(model, body, np.zeros(3))
+    box = collision_box(model, body)
     forks = int((model.body_parentid[1:] == body).sum()) > 1  # a palm's mounts are enclosed by the fingers' ends
     if box is None or forks:
         return []

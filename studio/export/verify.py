@@ -134,8 +134,8 @@ def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
     ]
     checks = [worst(f"{name}: {what}", RELATIVE_ALLOWED, relative(a, b)) for what, a, b in properties]
     extents = {
-        body: float(np.abs(reading.extents[body] - box).max()) if body in reading.extents else math.inf
-        for body, box in reference.extents.items()
+        body: _farthest(shapes, reading.extents[body]) if body in reading.extents else math.inf
+        for body, shapes in reference.extents.items()
     }
     checks.append(worst(f"{name}: collision extents (m)", POSITION_ALLOWED, extents))
     checks.append(worst(f"{name}: nothing added", 0.0, _added(reference, reading)))
@@ -152,6 +152,17 @@ def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
         worst(f"{name}: positions in {POSTURES} postures (m)", POSITION_ALLOWED, positions),
         worst(f"{name}: rotations in {POSTURES} postures", ROTATION_ALLOWED, rotations),
     ]
+
+
+def _farthest(shapes: np.ndarray, found: np.ndarray) -> float:
+    """Return how far (m) any of a body's shapes (n, 2, 13) is from the nearest one found (m, 2, 13), both ways.
+
+    The order plays no part; another number of shapes is infinitely far.
+    """
+    if len(shapes) != len(found):
+        return math.inf
+    between = np.abs(shapes[:, None] - found[None]).max(axis=(2, 3))
+    return float(max(between.min(0).max(), between.min(1).max()))
 
 
 def _added(reference: Reading, reading: Reading) -> dict[str, float]:

@@ -180,7 +180,7 @@ class Mutant:
                 archive.writestr(name, content)
             match kind:
                 case "path":
-                    archive.writestr(path, b"escaped")
+                    archive.writestr(_entry(path), b"escaped")
                 case "link":
                     entry = zipfile.ZipInfo(self.rng.choice(("meshes/x.stl", "design.json")))
                     entry.external_attr = 0o120777 << 16
@@ -266,6 +266,13 @@ class Mutant:
             content[self.rng.randrange(len(content))] = self.rng.randrange(256)
         self.said = f"{path}: some bytes"
         return _zip({**self.files, path: bytes(content)})
+
+
+def _entry(name: str) -> zipfile.ZipInfo:
+    """Return an entry of any name, the empty one too, which `zipfile` writes under another alone."""
+    entry = zipfile.ZipInfo("x")
+    entry.filename = entry.orig_filename = name or "\0"
+    return entry
 
 
 def _try(mutant: Mutant, server: Target, outcome: Outcome) -> None:

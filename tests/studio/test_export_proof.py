@@ -442,7 +442,7 @@ BREAKS = {
         ("3mf/palm.3mf", with_a_second_object, "3mf/palm.3mf: quantity"),
         ("parts/finger_1_distal.stl", doubled, "one body"),
         ("hand.xml", replaced('size="0.015 ', 'size="0.016 '), "hand.xml in MuJoCo: collision extents"),
-        ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.016"'), "MuJoCo: collision extents"),
+        ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.0149"'), "MuJoCo: collision extents"),
         ("policy.py", lambda content: content + b"#", "policy.py: the program"),
     ],
     "a plate with too little": [
