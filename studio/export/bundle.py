@@ -136,7 +136,7 @@ def _build(
         promised = _promised(history, recorded, policy)
         files |= policy_files(policy, program, task.horizon)
         trial = Trial(files.copy(), task.name, design.task_options, phi, promised, wanted, EPISODES)
-    with begun(trial, apart=bool(robot.servo_joints)) as outcome:
+    with begun(trial) as outcome:
         files |= seen_files(task, phi, parts, formats)
         prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
         files |= print_files(prints) if prints else {}

@@ -19,7 +19,10 @@ from studio.export.demand import Recorder
 from studio.export.policy import Score
 from studio.export.proof import prove_policy
 from studio.export.servos import ServoTable, compared_servos
+from studio.robots.chooser import robot_of
 
+APART = 100
+"""Number of episodes from which a process of its own pays: fewer take less time than to start one."""
 _TURN = threading.Lock()
 """Held by the trial that is under way: each takes all cores, and memory of its own."""
 
@@ -49,6 +52,11 @@ class Trial:
     """Servo with which its needs are compared; None for one that they choose."""
     episodes: int
 
+    @property
+    def is_long(self) -> bool:
+        """Whether it takes seconds: many episodes, of a robot whose physics is simulated."""
+        return self.episodes >= APART and bool(robot_of(make_task(self.task, self.task_options)).servo_joints)
+
     def run(self) -> Outcome:
         """Run the episodes in this process."""
         task, recorder = make_task(self.task, self.task_options), Recorder()
@@ -57,12 +65,12 @@ class Trial:
 
 
 @contextmanager
-def begun(trial: Trial | None, *, apart: bool) -> Iterator[Callable[[], Outcome]]:
+def begun(trial: Trial | None) -> Iterator[Callable[[], Outcome]]:
     """Begin a trial, and give the function that waits for what it comes to: nothing where there is none.
 
-    One that takes seconds is run `apart`, in a process of its own; any other when it is waited for.
+    One that takes seconds is run in a process of its own, any other when it is waited for.
     """
-    if trial is None or not apart:
+    if trial is None or not trial.is_long:
         yield trial.run if trial else lambda: Outcome(None, [], None)
         return
     # A fork has all modules loaded, but would copy the locks that other threads hold.
@@ -74,14 +82,14 @@ def begun(trial: Trial | None, *, apart: bool) -> Iterator[Callable[[], Outcome]
         process.start()
         other.close()
         try:
-            yield lambda: _awaited(end)
+            yield lambda: awaited(end)
         finally:
             process.terminate()
             process.join()
             end.close()
 
 
-def _awaited(end: Connection) -> Outcome:
+def awaited(end: Connection) -> Outcome:
     """Return what the process at the other end comes to."""
     try:
         told = end.recv()
