@@ -54,7 +54,7 @@ QUICKLY = (
     "--resolution=0.05",
 )  # fmt: skip
 """Options with which a plate takes a tenth of the time. It is read, repaired, laid on the bed, cut into layers and
-written as before; left out are where the nozzle changes layers, which alone takes half of it, and all that fills a body:
+written as before; left out are where the nozzle changes layers, which takes half of it, and all that fills a body:
 what the slicer says of those is asked by the slow tests, with its own settings."""
 
 
