@@ -52,9 +52,7 @@ def test_readme_and_docs_show_every_command() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_that_is_shown_exists_with_its_options(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_that_is_shown_exists_with_its_options(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     words = shlex.split(command)
     with pytest.raises(SystemExit) as ended:
         run([words[1], "--help"])
