@@ -948,7 +948,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     # --- the runs page, recorded runs and the gallery ---
     *_of(
-        "studio/shelf/marks.py", "studio/test_shelf.py studio/test_timeline.py::test_no_more_designs_are_starred_than_are_allowed "
+        "studio/shelf/marks.py",
+        "studio/test_shelf.py studio/test_timeline.py::test_no_more_designs_are_starred_than_are_allowed "
         "studio/test_timeline.py::test_designs_are_starred_by_the_api_and_only_those_that_are_there",
         ("set(marks.starred_designs) - {iteration}", "set(marks.starred_designs)"),
         ("if value is not msgspec.UNSET}", "}"),
