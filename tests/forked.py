@@ -15,7 +15,10 @@ from morph_core.run_folder import RunFolder
 
 _FORK = multiprocessing.get_context("forkserver")
 _FORK.set_forkserver_preload(
-    ["morph_core.train", "morph_core.evaluate", "cma", "studio.cli.train", "studio.cli.export", "studio.export.apart"]
+    [
+        *("morph_core.train", "morph_core.evaluate", "studio.cli.train", "studio.cli.export", "studio.export.apart"),
+        *("cma", "torch._dynamo"),  # the search imports one, and the first optimiser the other
+    ]
 )
 
 
