@@ -172,12 +172,10 @@ def create_app(
     launcher: Slurm | None = None,
     desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album], Shows] = make_desks,
 ) -> FastAPI:
-    """Return the application.
+    """Return the application. New runs are started by `launcher`, by default as processes of this machine.
 
     `app.state` holds `settings`, `access`, `audience`, `stopping`, `runs`, `evaluator` and, while it runs, `viser` and
     `desks`.
-
-    New runs are started by `launcher`, by default as processes of this machine.
     """
     reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
     what_ifs = WhatIfs(evaluator)
@@ -343,7 +341,6 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
     audience: Audience = app.state.audience
     name = f"[{settings.host}]" if ":" in settings.host else settings.host
     address = f"http://{name}:{listener.getsockname()[1]}{settings.root_path}/"
-
     mode = "&present=1" if settings.present else ""
 
     def announce() -> None:

@@ -43,6 +43,7 @@ from studio.robots.chooser import robot_of
 from studio.robots.parts import Part
 from studio.robots.stl import stl
 from tests.counts import DESIGNS
+from tests.forked import morph_studio
 
 NAME = "<b>run \N{SNOWMAN} .." + "x" * 120
 
@@ -480,8 +481,7 @@ def test_verify_prints_a_table_and_fails_for_a_part_broken_on_purpose(bundle: Bu
     bad.write_bytes(zipped({**bundle.files, "parts/palm.stl": holed(bundle.files["parts/palm.stl"])}))
     shown = {}
     for path, code in ((good, 0), (bad, 1), (tmp_path / "none.zip", 2)):
-        command = [sys.executable, "-m", "studio.cli", "verify", str(path), "--episodes", "2"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, env={"COLUMNS": "140", "PATH": ""})
+        done = morph_studio("verify", str(path), "--episodes", "2", environment={"COLUMNS": "140", "PATH": ""})
         assert done.returncode == code, done.stdout + done.stderr
         shown[code] = done.stdout
     assert "checks agree" in shown[0]
