@@ -139,7 +139,7 @@ def test_steering_goes_to_the_run_and_says_who_did_it(room: Room) -> None:
         assert room.shows(key("b"), NAME)
         viewer = room.viewer_of(key("b"))
         client = next(c for c in room.guarded.server.get_clients().values() if key_of(c) == key("b"))
-        viewer._send(lambda: [Pause()], client)
+        viewer.wishes.send(lambda: [Pause()], client)
         assert room.commands == [(NAME, Pause(), f"studio, browser {client.client_id}")]
 
 
