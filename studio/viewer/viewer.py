@@ -18,6 +18,7 @@ from studio.viewer.compare import ComparePanel, Others
 from studio.viewer.deeds import deeds_of
 from studio.viewer.design import DesignPanel
 from studio.viewer.export import ExportPanel
+from studio.viewer.filming import FilmPanel, Makes
 from studio.viewer.framing import Framing
 from studio.viewer.fresh import FreshEpisodes
 from studio.viewer.gallery import Album, GalleryPanel
@@ -51,8 +52,8 @@ class Viewer:
     `on_branch(run_id, iteration, phi)` -> run id and `on_export(run_id, which, formats, phi or None for the recorded
     one, servo or None, printer or None)` do what people ask for; they refuse by a ValueError, whose sentence is shown.
     `answers` say how good a policy is on a changed design, `family(run_id)` is the tree in which a run stands, `album`
-    has pictures and stars, `others` are all runs that a design may be compared with, and `recordings` those that come
-    with the studio.
+    has pictures and stars, `others` are all runs that a design may be compared with, `films` makes films of them, and
+    `recordings` are those that come with the studio.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class Viewer:
         family: Callable[[str], Member | None],
         album: Album,
         others: Others,
+        films: Makes,
         recordings: Recordings,
     ) -> None:
         self._host = host
@@ -101,6 +103,7 @@ class Viewer:
             self.log = LogPanel(gui, on_open=self.select, family=family)
         with self.tabs.add_tab("Export", viser.Icon.DOWNLOAD):
             self.export = ExportPanel(gui, on_export=self.wishes.export, on_import=self.wishes.go_on_from)
+            self.film = FilmPanel(gui, films, which=self.export.which)
         left = gui.add_panel()
         left.dock_left()
         left.set_width(390)
@@ -298,6 +301,7 @@ class Viewer:
         self.steer.update(history, status)
         self.design.update(history, status)
         self.export.update(history)
+        self.film.update(history)
         self._show_timeline(history, live)
         self.looks.update(history)
         self.gallery.update(history)
@@ -352,8 +356,9 @@ class Viewer:
 
     def _show_nothing(self) -> None:
         """Show the start panel, or why a run can't be shown."""
-        for panel in (self.steer, self.design, self.export, self.what_if, self.compare, self.looks, self.gallery):
+        for panel in (self.steer, self.design, self.export, self.film, self.what_if, self.compare, self.looks):
             panel.clear()
+        self.gallery.clear()
         self.fresh.want([])
         if self.choice.run is None:
             self.traces.clear("no data yet: press Start")

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 import viser
-from conftest import NAME, Neighbours, Oracle, Served, Stars, eventually, make_run
+from conftest import NAME, Cutter, Neighbours, Oracle, Served, Stars, eventually, make_run
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 from websockets.typing import Subprotocol
@@ -63,6 +63,7 @@ class Room:
             family=lambda _: None,
             album=Stars(),
             others=Neighbours(self.histories),
+            films=Cutter(),
             recordings=Recordings(),
         )
         self.viewers.append(viewer)
