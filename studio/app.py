@@ -47,6 +47,7 @@ from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
 from studio.browser import open_in_browser
 from studio.desks import Desks, Presenting
 from studio.evaluator import Evaluator, EvaluatorError
+from studio.evolutions import Evolutions
 from studio.export.bundle import Bundle, build_bundle
 from studio.filming import Films
 from studio.new_run import Branch, StartRun
@@ -247,7 +248,7 @@ def create_app(
         desks_router(),
         audience_router(audience),
         films_router(films),
-        spectators_router(audience, access),
+        spectators_router(audience, access, Evolutions(watched.get)),
         viewer_router(),
         docs_router(),
     ):
