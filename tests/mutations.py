@@ -878,7 +878,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/viewer/viewer.py", "studio/test_recordings.py",
-        (" if run_id in self._recordings else words", " if False else words"),
+        (" if run_id in recordings else words", " if False else words"),
     ),
     *_of(
         "studio/bridge.py", "studio/test_bridge.py::test_only_allowed_kinds_are_admitted",

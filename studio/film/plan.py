@@ -23,6 +23,12 @@ from studio.viewer.take import FRAMES_PER_SECOND, Shot, Take, make_take
 
 Kind = Literal["evolution", "episode"]
 Act = Literal["opening", "evolution", "standing", "episode", "closing"]
+SIZES = {".mp4": (1920, 1080), ".gif": (960, 540)}
+"""Size in pixels of a film that is not asked to have another one."""
+RATES = {".mp4": 30, ".gif": 20}
+"""Frames per second of a film that is not asked to have another rate."""
+STILL_WIDTH, STILL_DPI = 85.0, 300
+"""Width in mm of a still that is not asked to be otherwise, a column of a journal, and its pixels per inch."""
 _OPENING, _STANDING, _CLOSING = 1.0, 1.2, 1.5
 """Seconds for which the first picture stands, the last design of an evolution, and the last picture."""
 _MOST_BODIES = 240

@@ -47,6 +47,8 @@ def test_our_pages_have_nothing_that_is_serious(filled: Server, page: Page, sche
     expect(page.locator("#tour")).to_be_visible()
     assert grave(page) == {}, "the tour"
 
+    assert_audience_has_nothing(page, base)
+
     page.goto(f"{base}/docs")
     assert grave(page) == {}, "the API page"
 
@@ -66,6 +68,19 @@ def test_our_pages_have_nothing_that_is_serious(filled: Server, page: Page, sche
         expect(page.get_by_role("dialog", name=button)).to_be_visible()
         assert grave(page) == {}, button
         page.keyboard.press("Escape")
+
+
+def assert_audience_has_nothing(presenter: Page, base: str) -> None:
+    link = presenter.request.post(f"{base}/api/audience", headers={"Origin": base}, data={}).json()["link"]
+    page = presenter.context.new_page()
+    page.goto(f"{base}/{link}")
+    expect(page.locator("#curves")).to_be_visible(timeout=20_000)
+    expect(page.locator("#curtain")).to_be_hidden()
+    assert grave(page) == {}, "the audience"
+    page.get_by_role("button", name="Look around alone").click()
+    expect(page.locator("#opening")).to_be_hidden(timeout=20_000)
+    assert grave(page) == {}, "a spectator alone"
+    page.close()
 
 
 def test_what_the_viewer_lacks_is_visers_own_and_listed(filled: Server, page: Page) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Frame, Page, expect
 from served import Server, wait_for
 from test_desk_in_a_browser import NEW, choose, open_page, shows
 from test_studio import nodes_of
@@ -31,6 +31,12 @@ def spectator(other: Page) -> Page:
     return other
 
 
+def scene_of(spectator: Page) -> Frame:
+    frame = spectator.frame(url=re.compile("/audience/viewer/"))
+    assert frame is not None
+    return frame
+
+
 def forged(kind: str) -> list[int]:
     message: dict[str, Any] = {"type": kind, "uuid": "u", "updates": {"value": 1}, "name": "/robot/box", "value": True}
     return list(msgspec.msgpack.encode(message))
@@ -53,7 +59,7 @@ def test_a_spectator_sees_what_the_presenter_does_and_can_do_nothing(
     page.keyboard.press("ArrowLeft")
     shows(page, NEW, 9)
     expect(spectator.locator("#iteration")).to_have_text("9")
-    wait_for("the robot", lambda: any(n.startswith("/robot/") for n in nodes_of(spectator.frames[-1])), 30)
+    wait_for("the robot", lambda: any(n.startswith("/robot/") for n in nodes_of(scene_of(spectator))), 30)
 
     path = spectator.locator("#scene").get_attribute("src")
     assert path is not None
@@ -63,6 +69,12 @@ def test_a_spectator_sees_what_the_presenter_does_and_can_do_nothing(
     for method, address in (("GET", "api/runs"), ("POST", f"api/runs/{NEW}/commands"), ("DELETE", "api/audience")):
         assert spectator.evaluate(ASK, [method, address, None if method == "GET" else {}]) == 403, address
     shows(page, NEW, 9)
+
+    spectator.get_by_role("button", name="Look around alone").click()
+    alone = spectator.frame_locator("#evolution")
+    expect(alone.locator("#runs")).to_contain_text(NEW)
+    spectator.get_by_role("button", name="Back to the presenter").click()
+    expect(spectator.locator("#iteration")).to_be_visible()
 
     page.locator("#invite").click()
     page.get_by_role("button", name="End the link").click()

@@ -73,7 +73,7 @@ def test_a_slider_moves_the_body_and_then_the_policy_plays_on_it(page: Page, pan
     assert "80 %" in panel.result.content
     assert "54 %" in panel.result.content  # of the recorded body, beside it
     assert "changed by hand" in panel.note.content
-    page.show(page.viewer._histories[page.viewer.selected or ""].folder)
+    page.show(page.viewer.choice.histories[page.viewer.selected or ""].folder)
     assert "changed by hand" in page.viewer.timeline.what.content
 
 
@@ -146,7 +146,7 @@ def test_the_buttons_hand_the_design_on(page: Page, folder: RunFolder) -> None:
     assert panel.inject.visible
     click(panel.inject)
     assert page.commands == [(folder.id, InjectDesign(phi))]
-    page.viewer._export_changed(3, phi, _Browser())  # pyright: ignore[reportArgumentType]
+    page.viewer.wishes.export_changed(3, phi, _Browser())  # pyright: ignore[reportArgumentType]
     assert (page.exported[-1][1], page.changed) == ("3", [phi])
     click(panel.branch)
     assert page.branched == [(folder.id, 3, phi)]
