@@ -1,13 +1,12 @@
 """The command line `morph-studio`, one module for each of its commands."""
 
 import importlib
-import os
 import platform
 import sys
 from collections.abc import Sequence
 
 from studio.cli.arguments import UsageError
-from studio.cli.output import bear_any_encoding, complain, say
+from studio.cli.output import all_written, bear_any_encoding, complain, open_streams, say
 
 COMMANDS = {
     "serve": "open the studio in the browser",
@@ -39,16 +38,17 @@ name. A first run: morph-studio serve
 
 def main() -> None:
     """Run the command of `sys.argv` and exit: 0 done, 1 failed, 2 asked for the impossible, 130 stopped by Ctrl-C."""
+    open_streams()
     bear_any_encoding()
     try:
         code = run(sys.argv[1:])
-        sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     except KeyboardInterrupt:
         code = 130
-    sys.exit(code)
+    except SystemExit as end:  # of the parser, which has printed its help
+        code = end.code
+    sys.exit(code if all_written() else code or 1)
 
 
 def run(words: Sequence[str]) -> int:

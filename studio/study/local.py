@@ -9,6 +9,7 @@ import contextlib
 import fcntl
 import os
 import platform
+import shlex
 import signal
 import subprocess
 import time
@@ -114,7 +115,7 @@ class Local(Launcher):
             if launcher not in ("", self.name):
                 raise ValueError(
                     f"{run} is in the hands of the launcher {launcher}: go on with --launcher {launcher}, or cancel "
-                    f"it first: morph-studio study --cancel {directory}"
+                    f"it first: morph-studio study --cancel {shlex.quote(str(directory))}"
                 )
         for run in runs:
             with contextlib.suppress(RunFolderError, OSError, ValueError):  # the standing of the run says why

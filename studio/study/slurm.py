@@ -1,7 +1,9 @@
 """Runs as tasks of Slurm's job arrays, by its own commands alone: no process of ours has to live on."""
 
 import contextlib
+import os
 import secrets
+import shlex
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -70,7 +72,7 @@ class Slurm(Launcher):
             if (launcher := launcher_of(directory / run)) not in ("", self.name):
                 raise SlurmError(
                     f"{run} is in the hands of the launcher {launcher}: go on with --launcher {launcher}, or cancel "
-                    f"it first: morph-studio study --cancel {directory}"
+                    f"it first: morph-studio study --cancel {shlex.quote(str(directory))}"
                 )
         places = self._fresh_states(directory, runs)
         new = [run for run in runs if run not in places or places[run] == FORGOTTEN]
@@ -220,7 +222,7 @@ def _sbatch(
     kept = directory.resolve() / ".slurm" / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
     try:
         kept.mkdir(parents=True)
-        (kept / "runs.txt").write_text("".join(f"{path}\n" for path in paths))
+        (kept / "runs.txt").write_bytes(os.fsencode("".join(f"{path}\n" for path in paths)))
     except OSError as error:
         raise SlurmError(f"the list of the runs can't be written ({error})") from error
     further = [] if until is None else ["--until", str(until)]
