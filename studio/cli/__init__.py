@@ -53,6 +53,19 @@ def main() -> None:
 
 def run(words: Sequence[str]) -> int:
     """Run one command and return its exit status."""
+    try:
+        return _obey(words)
+    except UsageError as error:
+        complain(f"morph-studio: {error}")
+        return 2
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # a folder that is read-only, a disk that is full
+        complain(f"morph-studio: {words[0] if words else 'help'}: {error}")
+        return 1
+
+
+def _obey(words: Sequence[str]) -> int:
     if not words or words[0] in ("-h", "--help"):
         commands = "\n".join(f"  {name:10}{does}" for name, does in COMMANDS.items())
         (say if words else complain)(HELP.format(commands=commands).rstrip())
@@ -61,18 +74,9 @@ def run(words: Sequence[str]) -> int:
         say(version())
         return 0
     command, *rest = words
-    try:
-        if command not in COMMANDS:
-            raise UsageError(f'unknown command "{command[:40]}"; choose from: {", ".join(COMMANDS)}')
-        return importlib.import_module(f"studio.cli.{_MODULES.get(command, command)}").main(rest)
-    except UsageError as error:
-        complain(f"morph-studio: {error}")
-        return 2
-    except BrokenPipeError:
-        raise
-    except OSError as error:  # a folder that is read-only, a disk that is full
-        complain(f"morph-studio: {command}: {error}")
-        return 1
+    if command not in COMMANDS:
+        raise UsageError(f'unknown command "{command[:40]}"; choose from: {", ".join(COMMANDS)}')
+    return importlib.import_module(f"studio.cli.{_MODULES.get(command, command)}").main(rest)
 
 
 def version() -> str:

@@ -149,9 +149,23 @@ def test_output_never_dies_of_an_encoding(tmp_path: Path, encoding: str, words: 
 
 
 @pytest.mark.parametrize("words", ["runs", "runs --json", "--help", "--version", "train --help", "log none"])
-@pytest.mark.parametrize("where", ["closed", "a full disk", "a reader who is gone"])
+@pytest.mark.parametrize(
+    ("where", "buffering"),
+    [
+        ("closed", -1),
+        ("a full disk", -1),
+        ("a full disk", 1),
+        ("a reader who is gone", -1),
+        ("a reader who is gone", 1),
+    ],
+)
 def test_a_command_bears_any_place_for_its_output(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: str, where: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    words: str,
+    where: str,
+    buffering: int,
 ) -> None:
     make_run(tmp_path / "runs", "good")
     monkeypatch.chdir(tmp_path)
@@ -160,7 +174,7 @@ def test_a_command_bears_any_place_for_its_output(
     os.close(reading)
     if where == "a full disk":
         os.dup2(os.open("/dev/full", os.O_WRONLY), writing)
-    monkeypatch.setattr("sys.stdout", None if where == "closed" else os.fdopen(writing, "w"))
+    monkeypatch.setattr("sys.stdout", None if where == "closed" else os.fdopen(writing, "w", buffering))
     with pytest.raises(SystemExit) as end:
         main()
     said = capfd.readouterr().err
