@@ -1,5 +1,6 @@
 """What the command line writes can be shown anywhere, and no file makes a terminal obey."""
 
+import itertools
 import json
 import os
 import re
