@@ -151,14 +151,7 @@ def test_output_never_dies_of_an_encoding(tmp_path: Path, encoding: str, words: 
 
 @pytest.mark.parametrize("words", ["runs", "runs --json", "--help", "--version", "train --help", "log none"])
 @pytest.mark.parametrize(
-    ("where", "buffering"),
-    [
-        ("closed", -1),
-        ("a full disk", -1),
-        ("a full disk", 1),
-        ("a reader who is gone", -1),
-        ("a reader who is gone", 1),
-    ],
+    ("where", "buffering"), [("closed", -1), *itertools.product(("a full disk", "a reader who is gone"), (-1, 1))]
 )
 def test_a_command_bears_any_place_for_its_output(
     tmp_path: Path,
