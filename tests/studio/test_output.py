@@ -232,8 +232,8 @@ def test_a_run_may_be_named_by_a_path_in_the_home(
     monkeypatch.setenv("HOME", str(tmp_path))
     make_run(tmp_path / "x", "good")
     assert run(["log", "~/x/good"]) == 0
-    assert run(["log", "~nobody-of-this-name/x/good"]) == 2
-    assert "no run.json" in capsys.readouterr().err
+    assert run(["log", "~nobody-of-this-name/x/good"]) == 1
+    assert "there is no such home" in capsys.readouterr().err
 
 
 def flags_of(words: str, capsys: pytest.CaptureFixture[str]) -> list[str]:
