@@ -6,6 +6,7 @@ import functools
 import math
 import os
 import platform
+import shlex
 import signal
 import sys
 import threading
@@ -269,7 +270,7 @@ class Trainer:
         raise RunFolderError(
             f"{why}. No checkpoint is left to go on from. To begin anew from the initial design, which gives up "
             f"{history.iteration - history.begins_at} iterations: "
-            f"morph-studio train --resume {self._folder.id} --from-start"
+            f"morph-studio train --resume {shlex.quote(str(self._folder.path))} --from-start"
         )
 
     def _take_in(self, task: Task, method: Method, state: State, progress: Progress) -> None:

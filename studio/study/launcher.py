@@ -1,5 +1,6 @@
 """What a launcher is: whatever gives the runs of a study their trainers, on this machine or on a cluster."""
 
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -85,5 +86,5 @@ def check_hands(directory: Path, runs: Sequence[str], launcher: str) -> None:
         if (other := launcher_of(directory / run)) not in ("", launcher):
             raise ValueError(
                 f"{run} is in the hands of the launcher {other}: go on with --launcher {other}, or cancel it first: "
-                f"morph-studio study --cancel {directory}"
+                f"morph-studio study --cancel {shlex.quote(str(directory))}"
             )

@@ -1,6 +1,7 @@
 """Runs as tasks of Slurm's job arrays, by its own commands alone: no process of ours has to live on."""
 
 import contextlib
+import os
 import secrets
 import shutil
 import time
@@ -215,7 +216,7 @@ def _sbatch(
     kept = directory.resolve() / ".slurm" / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
     try:
         kept.mkdir(parents=True)
-        (kept / "runs.txt").write_text("".join(f"{path}\n" for path in paths))
+        (kept / "runs.txt").write_bytes(os.fsencode("".join(f"{path}\n" for path in paths)))
     except OSError as error:
         raise SlurmError(f"the list of the runs can't be written ({error})") from error
     further = [] if until is None else ["--until", str(until)]

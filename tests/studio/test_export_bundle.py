@@ -13,6 +13,7 @@ import msgspec
 import mujoco
 import pytest
 
+from morph_core import durable
 from morph_core.history import History
 from morph_core.protocol import (
     Acknowledged,
@@ -24,9 +25,10 @@ from morph_core.protocol import (
     StateChanged,
 )
 from morph_core.run_folder import EventLog, RunFolder
+from studio.export.archive import zipped
 from studio.export.bundle import Bundle, build_bundle
 from studio.export.errors import ExportError
-from studio.export.place import write_bundle
+from studio.export.place import check_place, write_bundle
 from studio.export.verify import verify
 from studio.new_run import StartRun, prepare_run
 
@@ -219,7 +221,8 @@ def test_a_hostile_run_name_does_not_reach_a_file_name(changeable: History) -> N
 
 
 def test_a_zip_is_written_to_the_path(built: Callable[..., Bundle], tmp_path: Path) -> None:
-    out = write_bundle(built("best"), tmp_path / "new folder" / "arm.zip")
+    for which in ("1", "best"):  # the second takes the place of the first
+        out = write_bundle(built(which), tmp_path / "new folder" / "arm.zip")
     assert all(check.passed for check in verify(unpack(out.read_bytes())))
     assert [p.name for p in out.parent.iterdir()] == ["arm.zip"]
 
@@ -255,6 +258,23 @@ def test_a_file_where_the_folder_should_be_is_left_alone(built: Callable[..., Bu
     with pytest.raises(ExportError, match="can't write"):
         write_bundle(built("best"), tmp_path / "arm" / "b.zip")
     assert (tmp_path / "arm").read_text() == "mine"
+
+
+@pytest.mark.parametrize("out", ["", ".", "/", "..", "sub/..", "photos.zip", "pipe.zip", "notes.zip"])
+def test_what_is_no_export_is_never_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str) -> None:
+    place = tmp_path / "here"
+    (place / "sub").mkdir(parents=True)
+    monkeypatch.chdir(place)
+    (place / "photos.zip").write_bytes(zipped({"a.jpg": b"years of photos"}))
+    (place / "notes.zip").write_text("no zip at all")
+    os.mkfifo(place / "pipe.zip")
+    before = {path: path.lstat().st_ino for path in tmp_path.rglob("*")}
+    for write in (check_place, lambda path: write_bundle(Bundle("arm.zip", {}, [], b""), path)):
+        with pytest.raises(ExportError, match=r"no name of its own|no earlier export"):
+            write(Path(out))
+    assert {path: path.lstat().st_ino for path in tmp_path.rglob("*")} == before
+    with pytest.raises(IsADirectoryError):
+        durable.write_file(Path(), b"")
 
 
 @pytest.mark.parametrize("name", ["arm.zip", "arm"])
