@@ -5,6 +5,7 @@ import importlib.util
 import io
 import itertools
 import json
+import multiprocessing
 import os
 import re
 import subprocess
@@ -26,6 +27,7 @@ from safetensors.numpy import save_file
 from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
 from morph_core.task import Task
+from studio.export import trial
 from studio.export.archive import unzipped, zipped
 from studio.export.bundle import EPISODES, FORMATS, Bundle, build_bundle, parts_of_design, robot_files
 from studio.export.design_file import Design, PartEntry, load_design, phi_for, read_design, starting_from
@@ -291,11 +293,13 @@ def test_a_bundle_says_which_servo_can_do_what_the_policy_needs(bundle: Bundle) 
     assert f"Servos:  {table.servo} suffices for " in bundle.files["README.txt"].decode()
 
 
-def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for(
+def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for_by_whatever_process_runs_the_episodes(
     history: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("studio.export.bundle.EPISODES", 3)
     weak = build_bundle(history, "best", ["mjcf"], servo="mg90s")
+    monkeypatch.setattr("studio.export.trial.APART", 3)
+    assert build_bundle(history, "best", ["mjcf"], servo="mg90s").content == weak.content
     table = servos_of(weak)
     assert (table.servo, table.episodes, table.suffices) == ("MG90S", 3, False)
     assert "does not suffice: peak torque" in weak.files["report.html"].decode()
@@ -303,6 +307,14 @@ def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for(
         build_bundle(history, "best", ["urdf"], servo="MG90S")
     with pytest.raises(ExportError, match="did you mean MG90S"):
         build_bundle(history, "best", ["mjcf"], servo="MG90")
+
+
+def test_a_process_that_dies_over_the_episodes_is_a_failed_check() -> None:
+    end, other = multiprocessing.Pipe(duplex=False)
+    other.close()
+    [check] = trial.awaited(end).checks
+    assert not check.passed
+    assert "its process ended without a word" in str(check)
 
 
 def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundle) -> None:
