@@ -42,8 +42,8 @@ from studio.viewer.traces import TracesPanel
 from studio.viewer.view import Remembered, View, put_back, ticks_of
 from studio.viewer.what_if import Answers, WhatIfPanel
 
-_START_PATIENCE = 15.0
-"""Seconds after which a started run that never showed up is reported."""
+_START_PATIENCE = 5.0
+"""Seconds after which a run that has not shown up is reported: one that was started is there at once."""
 _BODY_FIRST = 0.2
 """Longest time in seconds for which the panels wait until the body of another design stands in the scene."""
 
@@ -477,7 +477,7 @@ class Viewer:
             run_id = self._selected
             history = self._histories.get(run_id) if run_id else None
             self.start.folder.visible = run_id is None
-            self.tabs.visible = run_id is not None
+            self.tabs.visible = self.timeline.panel.visible = run_id is not None  # the form needs the room
             if run_id is None or history is None:
                 self._show_nothing(run_id)
                 return
@@ -582,7 +582,8 @@ class Viewer:
                 self._sought = self.timeline.shown_iteration  # for when it comes back
             status, message = "lost", f"{run_id} is no longer in the folder of runs: it was deleted or moved. {_GONE}"
         elif run_id not in self._statuses and time.monotonic() - self._awaited_since > _START_PATIENCE:
-            message = f"{run_id} has not shown up; the studio's log may say why"
+            status = "lost"
+            message = f"{run_id} has not shown up in the folder of runs: it was deleted or moved. {_GONE}"
         self.run.show_message(status, message)
         self.traces.clear(f"{status}: {message}")
         self.timeline.clear(message)
@@ -676,7 +677,9 @@ class Viewer:
     def _show_time(self, seconds: float, _duration: float) -> None:
         if take := self.player.take:
             self.playback.show_time(take, seconds)
-            self.timeline.show_legend(legend_of(take))
+            legend = legend_of(take)
+            self.timeline.show_legend(legend)
+            self.start.show_legend(legend)
 
 
 def _sender(client: viser.ClientHandle | None) -> str:
