@@ -262,7 +262,7 @@ def keep_showing(desks: Shows, runs: Runs, done: threading.Event) -> None:
     while not done.wait(SHOW_INTERVAL):
         with _logged("showing the runs"):
             histories = runs.watched(desks.selected)
-            desks.show(histories, {name: runs.status(history) for name, history in histories.items()}, runs.shown)
+            desks.show(histories, runs.statuses(histories, desks.selected), runs.shown)
             if (asked := runs.take_request()) is not None:
                 desks.turn_to(*asked)
 

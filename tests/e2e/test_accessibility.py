@@ -37,7 +37,7 @@ def test_our_pages_have_nothing_that_is_serious(filled: Server, page: Page, sche
     assert grave(page) == {}, "the login page"
 
     page.goto(filled.url)
-    page.frame_locator("#viewer").get_by_role("tab", name="Timeline", exact=True).wait_for()
+    page.frame_locator("#viewer").get_by_role("tab", name="Traces", exact=True).wait_for()
     expect(page.locator("#loading")).to_be_hidden()
     assert grave(page) == {}, "the shell"
     page.keyboard.press("?")
@@ -85,7 +85,7 @@ def assert_audience_has_nothing(presenter: Page, base: str) -> None:
 
 def test_what_the_viewer_lacks_is_visers_own_and_listed(filled: Server, page: Page) -> None:
     page.goto(filled.url)
-    page.frame_locator("#viewer").get_by_role("tab", name="Timeline", exact=True).wait_for()
+    page.frame_locator("#viewer").get_by_role("tab", name="Traces", exact=True).wait_for()
     expect(page.locator("#loading")).to_be_hidden()
     page.wait_for_timeout(2000)  # until nothing fades in any more
     listed = re.findall(r"^\| `([a-z-]+)`", LISTED.read_text(), re.MULTILINE)

@@ -27,7 +27,7 @@ def test_every_page_and_the_viewer_work_under_the_prefix(server: Server, page: P
     page.goto(f"{address}/?{server.url.partition('?')[2]}")
     assert page.url.startswith(f"{address}/")
     frame = page.frame_locator("#viewer")
-    frame.get_by_role("tab", name="Timeline", exact=True).wait_for()
+    frame.get_by_role("tab", name="Traces", exact=True).wait_for()
     wait_for("the robot", lambda: any(name.startswith("/robot/") for name in nodes_of(page.frames[-1])), 30)
     expect(page.locator("#chooser")).to_contain_text("reacher-direct-s0")
     for name, awaited in (("Runs", ".tabulator-row"), ("Study", "#writing, #report")):
