@@ -20,6 +20,7 @@ from morph_core.task import Task
 from studio.export import onnx_policy
 from studio.export.archive import unpack
 from studio.export.check import Check, relative, worst
+from studio.export.check_copies import check_archive, check_drives, check_package
 from studio.export.check_prints import Surface, check_part_file, check_plates, read_3mf
 from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
@@ -28,6 +29,7 @@ from studio.export.plates import PIECES
 from studio.export.policy import Score, read_policy, score
 from studio.export.provenance import Provenance
 from studio.export.readings import collision_box
+from studio.export.ros import FOLDER, in_packages
 from studio.export.screen import screen
 from studio.export.stand import check_standing
 from studio.export.urdf import NO_LIMIT, urdf_names
@@ -175,9 +177,13 @@ def prove_robot(
         )
         if robot.printed:  # what a stranger's robot does without commands is not known
             checks += _guarded("standing", lambda: _check_standing(folder, design.robot, model, load))
-    if (urdf := f"{design.robot}.urdf") in files:
-        checks += _guarded(f"{urdf}: speeds", lambda: [_check_speeds(urdf, files[urdf], model, robot.speeds)])
-        checks += _guarded(f"{urdf}: frictions", lambda: [_check_frictions(urdf, files[urdf], model)])
+    for urdf in [path for path in (f"{design.robot}.urdf", *in_packages(files, design.robot)) if path in files]:
+        checks += _guarded(urdf, lambda urdf=urdf: _check_urdf(urdf, files[urdf], task, phi))
+    if (archive := f"{design.robot}.mjz") in files:
+        checks += _guarded(archive, lambda: [check_archive(files, design.robot)])
+    if any(path.startswith(f"{FOLDER}/") for path in files):
+        size = float(_moved(task, phi).stat.extent)
+        checks += _guarded(FOLDER, lambda: [check_package(files, design.robot, task.name, size)])
     read = cache(lambda path: read_3mf(files[path]))  # a part's file is looked at as a part, and as a plate
     for part in design.parts:
         checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed, read))
@@ -198,6 +204,21 @@ def _check_standing(
         if (folder / file).exists():
             checks += check_standing(file, load(folder / file), bodies)
     return checks
+
+
+def _check_urdf(path: str, content: bytes, task: Task, phi: np.ndarray) -> list[Check]:
+    """Compare what a URDF says of its joints, which readers pass over, with what the task asks of them."""
+    model = task.spec(phi).compile()
+    return [
+        _check_speeds(path, content, model, robot_of(task).speeds),
+        _check_frictions(path, content, model),
+        check_drives(path, content, _moved(task, phi)),
+    ]
+
+
+def _moved(task: Task, phi: np.ndarray) -> mujoco.MjModel:
+    """Return the robot of a design (d,) with the zeros of the files."""
+    return moved_zero(task.spec(phi), robot_of(task).zero(phi)).compile()
 
 
 def _check_speeds(path: str, content: bytes, model: mujoco.MjModel, speeds: Mapping[str, float]) -> Check:

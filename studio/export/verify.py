@@ -7,7 +7,7 @@ centres and moments of inertia, joint limits, and where every body and site stan
 import importlib.util
 import math
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,12 +18,17 @@ from studio.export.archive import unpack
 from studio.export.check import Check, relative, worst
 from studio.export.errors import ExportError
 from studio.export.readings import Reading, read_mjcf, read_urdf, read_yourdfpy
-from studio.export.ros import FOLDER, plain_urdf
-from studio.export.urdf import WORLD
+from studio.export.ros import FOLDER, in_packages, plain_urdf
+from studio.export.urdf import DRIVES, WORLD
 
 # MuJoCo would keep up to 500 MB of meshes by their paths, which are those of folders that are gone.
 mujoco.mj_setCacheCapacity(mujoco.mj_getCache(), 0)
 
+_WORDS = frozenset((
+    "robot", "mujoco", "compiler", "link", "inertial", "origin", "mass", "inertia", "visual", "collision", "geometry",
+    "box", "cylinder", "sphere", "mesh", "material", "color", "joint", "parent", "child", "axis", "limit", "dynamics",
+))  # fmt: skip
+"""Elements of a URDF that are compared or only shown; what else one holds, such as mimic, would pass unseen."""
 POSTURES = 100
 POSITION_ALLOWED = 1e-9  # m
 ROTATION_ALLOWED = 1e-9
@@ -71,15 +76,10 @@ def verify_folder(
     """Do as `verify` with files that lie in a `folder`, and that MuJoCo reads by `load`."""
     reference = None if model is None else read_mjcf(model, zero)
     checks = _read_and_compare(folder, robot, reference, only_mujoco, load)
-    for path in (f"{robot}.urdf", *_in_packages(files, robot)):
+    for path in (f"{robot}.urdf", *in_packages(files, robot)):
         if path in files:
             checks.append(_check_urdf(path, files))
     return checks
-
-
-def _in_packages(files: Iterable[str], robot: str) -> list[str]:
-    """Return the paths of the URDFs in ROS packages."""
-    return [path for path in files if path.startswith(f"{FOLDER}/") and path.endswith(f"/urdf/{robot}.urdf")]
 
 
 def _read_and_compare(
@@ -95,7 +95,7 @@ def _read_and_compare(
         readers.append((f"{urdf.name} in MuJoCo", lambda: read_urdf(load(urdf))))
         if not only_mujoco and importlib.util.find_spec("yourdfpy"):
             readers.append((f"{urdf.name} in yourdfpy", lambda: read_yourdfpy(urdf)))
-    for path in _in_packages((p.relative_to(folder).as_posix() for p in folder.rglob("*.urdf")), robot):
+    for path in in_packages((p.relative_to(folder).as_posix() for p in folder.rglob("*.urdf")), robot):
         readers.append((f"{path} in MuJoCo", lambda path=path: _read_packaged(folder, path)))
     checks = []
     for name, read in readers:
@@ -203,6 +203,9 @@ def _check_urdf(path: str, files: Mapping[str, bytes]) -> Check:
     faults = [*_faults_of_inertials(root), *_faults_of_joints(root)]
     names = [element.get("name", "") for element in [*root.findall("link"), *root.findall("joint")]]
     faults += [f"two links or joints are named {n}" for n in sorted({n for n in names if names.count(n) > 1})]
+    driven = {element for kind in DRIVES for block in root.findall(kind) for element in block.iter()}
+    strange = {str(element.tag) for element in root.iter() if element not in driven} - _WORDS
+    faults += [f"it holds <{tag[:40]}>, which no export has" for tag in sorted(strange)]
     meshes = {element.get("filename", "") for element in root.iter("mesh")}
     faults += [f"mesh {mesh} is missing" for mesh in sorted(meshes - set(files))]
     return Check(name, float(len(faults)), 0.0, "; ".join(faults))

@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import time
 import zipfile
 import zlib
@@ -35,6 +36,7 @@ from studio.robots.chooser import robot_of
 TASK = make_task("reacher")
 ROBOT = robot_of(TASK).file_name
 XML = f"{ROBOT}.xml"
+PACKAGE = "ros/reacher_description"
 
 
 def design_json(robot: str = ROBOT) -> bytes:
@@ -54,7 +56,7 @@ def bundle() -> dict[str, bytes]:
     phi = np.array([p.initial for p in TASK.design_space.parameters])
     program = robot_of(TASK).program(phi)
     assert program is not None
-    files = robot_files(TASK, phi, [], ("mjcf", "urdf"))
+    files = robot_files(TASK, phi, [], ("mjcf", "urdf", "ros", "ros2_control"))
     return files | {"design.json": design_json(), **program.sources}
 
 
@@ -204,7 +206,7 @@ def test_no_reader_sees_what_asks_for_more_than_a_bundle_needs(
 
     if "bomb" in ask:
         monkeypatch.setattr("studio.export.screen.MAX_BYTES", 8 << 20)
-    for reader in ("verify", "compare_physics", "_prove_physics"):
+    for reader in ("verify_folder", "compare_physics", "_prove_physics"):
         monkeypatch.setattr(f"studio.export.proof.{reader}", never)
     found = faults(bundle | {path: changed})
     assert found
@@ -225,6 +227,41 @@ DIFFERS = {
             "</robot>",
         ),
         "nothing added",
+    ),
+    "another servo in the archive": (
+        f"{ROBOT}.mjz",
+        lambda content: zipped(
+            (files := unzipped(content)) | {"model.xml": files["model.xml"].replace(b'kp="', b'kp="9', 1)}
+        ),
+        f"{ROBOT}.mjz: holds",
+    ),
+    "another launch file": (f"{PACKAGE}/launch/display.launch.py", lambda c: c + b"1\n", "this version writes"),
+    "a launch file more": (f"{PACKAGE}/launch/x.launch.py", lambda _: b"1\n", "this version writes"),
+    "another build": (f"{PACKAGE}/CMakeLists.txt", lambda c: c + b"include(x)\n", "this version writes"),
+    "another speed in the package": (
+        f"{PACKAGE}/urdf/{ROBOT}.urdf",
+        lambda content: content.replace(b'velocity="', b'velocity="9', 1),
+        f"{ROBOT}.urdf: speeds",
+    ),
+    "another limit of a servo": (
+        f"{ROBOT}.urdf",
+        lambda content: content.replace(b"<mechanicalReduction>1<", b"<mechanicalReduction>9<", 1),
+        "transmissions and interfaces",
+    ),
+    "a joint that follows another": (
+        f"{ROBOT}.urdf",
+        inserted('<mimic joint="joint_1"/>', "</joint>"),
+        "which no export has",
+    ),
+    "a driver that is loaded": (
+        f"{ROBOT}.urdf",
+        lambda content: content.replace(b"mock_components/", b"evil_components/", 1),
+        "transmissions and interfaces",
+    ),
+    "a servo too few": (
+        f"{PACKAGE}/urdf/{ROBOT}.urdf",
+        lambda content: re.sub(rb"<transmission .*?</transmission>", b"", content, count=1, flags=re.DOTALL),
+        "transmissions and interfaces",
     ),
     "another program": ("run_policy.py", lambda content: content + b"\nimport os\n", "run_policy.py"),
     "a file more": ("run.sh", lambda _: b"#!/bin/sh\n", "belongs to an export"),
