@@ -843,6 +843,16 @@ MUTANTS: tuple[Mutant, ...] = (
         ("np.minimum(apart[off], prints[other]", "np.maximum(apart[off], prints[other]"),
         ("inside.append(apart[~left_out])", "inside.append(apart[left_out])"),
         ("outside.append(np.min([_depth", "outside.append(np.max([_depth"),
+        ("np.nonzero(at_least < apart[:, None])", "np.nonzero(at_least > apart[:, None])"),
+        ("% 2 == 1 for point in points", "% 2 == 0 for point in points"),
+    ),
+    *_of(
+        "studio/export/layout.py", "studio/test_plates.py::test_a_link_lies_across_the_bed_before_it_is_cut",
+        ("(row if fits else left).append(body)", "left.append(body)"),
+    ),
+    *_of(
+        "studio/export/trial.py", "studio/test_export_proof.py",
+        ("Outcome(None, [_failed(told)], None)", "Outcome(None, [], None)"),
     ),
     # --- what a browser may say ---
     *_of(
