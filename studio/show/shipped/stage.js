@@ -51,7 +51,8 @@ class Stage {
     this.canvas = canvas;
     this.framing = framing;
     this.quality = slow ? QUALITIES.length - 2 : 0;
-    this.renderer = new THREE.WebGLRenderer({ canvas, alpha: false, antialias: !slow, powerPreference: "high-performance" });
+    const wanted = { alpha: false, antialias: !slow, stencil: false, powerPreference: "high-performance" };
+    this.renderer = new THREE.WebGLRenderer({ canvas, context: canvas.getContext("webgl2", wanted) }); // its own has alpha always
     this.renderer.shadowMap.enabled = QUALITIES[this.quality][1];
     this.camera = new THREE.PerspectiveCamera(32, 1);
     this.camera.up.set(0, 0, 1);
@@ -84,7 +85,7 @@ class Stage {
 
   /** Take the colour behind everything from the style: a canvas that is opaque is drawn faster. */
   paint() {
-    this.renderer.setClearColor(getComputedStyle(this.canvas.parentElement).backgroundColor);
+    this.renderer.setClearColor(getComputedStyle(this.canvas.parentElement).getPropertyValue("--stage").trim());
   }
 
   /** Return how many views stand beside each other: so many that each is about as wide as it is high. */
