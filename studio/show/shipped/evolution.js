@@ -352,8 +352,9 @@ class Evolution {
   /** Say how large the squares on the floor are, once there are bodies. */
   writeScale() {
     if (!this.actors) return;
-    const { cell } = this.actors[0], entry = document.createElement("li");
-    entry.textContent = `squares of ${cell < 1 ? `${number(100 * cell)} cm` : `${number(cell)} m`}; bodies as simulated, not as printed; pale: initial design`;
+    const { cell } = this.actors[0], entry = document.createElement("li"), printed = this.runners[0].run.cast.printed;
+    const bodies = printed ? "bodies as printed; they touch as capsules" : "bodies as simulated, not as printed";
+    entry.textContent = `squares of ${cell < 1 ? `${number(100 * cell)} cm` : `${number(cell)} m`}; ${bodies}; pale: initial design`;
     $("legend").append(entry);
   }
 

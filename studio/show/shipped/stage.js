@@ -5,6 +5,8 @@ const AIR = 1.12; // of what is framed, how much larger the picture is
 const SLOW_FRAME = 24; // ms: with frames that are slower on average the picture becomes simpler
 const FEWEST_FRAMES = 9, LONGEST_LOOK = 1500; // frames and ms after which it is judged whether they are slow
 const QUALITIES = [[2, true], [1.25, true], [1, false], [0.7, false], [0.5, false]]; // most pixels for one of CSS; shadows
+const CREASE = 0.6; // rad: an edge that is sharper stays an edge
+const ALIKE = 0.02; // in each component of a normal
 
 /** Frame a ball: seen along `sight`, with its centre in the middle. Lengths are in m. */
 function aroundBall(sight, target, radius) {
@@ -33,6 +35,56 @@ function lights(reach) {
   lamp.shadow.normalBias = 0.006 * reach;
   lamp.shadow.radius = 4;
   return [new THREE.HemisphereLight(0xffffff, 0xb8b2a8, 1.9), lamp];
+}
+
+const LIT_AT_CORNERS = {
+  vertexShader: `
+    #include <common>
+    #include <colorspace_pars_fragment>
+    #include <lights_pars_begin>
+    uniform vec3 diffuse, emissive;
+    varying vec3 lit;
+    void main() {
+      vec3 way = normalize(normalMatrix * normal), light = getHemisphereLightIrradiance(hemisphereLights[0], way);
+      light += max(dot(way, directionalLights[0].direction), 0.0) * directionalLights[0].color;
+      lit = sRGBTransferOETF(vec4(RECIPROCAL_PI * light * diffuse + emissive, 1.0)).rgb;
+      gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+    }`,
+  fragmentShader: `
+    uniform float opacity;
+    varying vec3 lit;
+    void main() { gl_FragColor = vec4(lit, opacity); }`,
+};
+
+/** Return a material that looks like this; where no shadow falls it is lit at its corners alone, as a processor that draws has little time. */
+function paint(look) {
+  const material = new THREE.MeshLambertMaterial(look);
+  material.onBeforeCompile = (shader, { shadowMap }) => { if (!shadowMap.enabled) Object.assign(shader, LIT_AT_CORNERS); };
+  return material;
+}
+
+/** Return a mesh of triangles, smooth but for its edges; corners in one place that are lit alike are one. */
+function smooth(positions, faces) {
+  const flat = new THREE.BufferGeometry();
+  flat.setAttribute("position", new THREE.BufferAttribute(new Float32Array(positions), 3));
+  flat.setIndex(new THREE.BufferAttribute(new Uint32Array(faces), 1));
+  const { position, normal } = THREE.toCreasedNormals(flat, CREASE).attributes; // a corner for each of each triangle
+  const index = new Uint32Array(faces.length), known = Array.from({ length: positions.length / 3 }, () => []), kept = [];
+  for (let i = 0; i < faces.length; i++) {
+    const alike = (k) => [0, 1, 2].every((axis) => Math.abs(normal.getComponent(i, axis) - normal.getComponent(kept[k], axis)) < ALIKE);
+    const there = known[faces[i]];
+    let found = there.find(alike);
+    if (found === undefined) there.push(found = kept.push(i) - 1);
+    index[i] = found;
+  }
+  const geometry = new THREE.BufferGeometry();
+  for (const [name, all] of Object.entries({ position, normal })) {
+    const few = new Float32Array(3 * kept.length);
+    kept.forEach((i, k) => few.set(all.array.subarray(3 * i, 3 * i + 3), 3 * k));
+    geometry.setAttribute(name, new THREE.BufferAttribute(few, 3));
+  }
+  geometry.setIndex(new THREE.BufferAttribute(index, 1));
+  return geometry;
 }
 
 /** Return whether there is WebGL, and whether a processor has to draw. */
