@@ -13,7 +13,6 @@ const AXES = { iterations: "iteration", env_steps: "environment steps" };
 const FLAT = 0.25; // a scene that is lower than this share of its shorter side is seen from above
 const ABOVE = [0, -0.3, 1], OBLIQUE = [0.55, -1.1, 0.5];
 const NARROW = 280; // px: a view that is less wide has small captions
-const REST = 250; // ms without a change after which the picture is drawn finely
 const PAUSE = 0.7; // s between the end of an episode and its next beginning
 const GOOD = 0.95; // success that is told in green
 
@@ -127,7 +126,6 @@ class Evolution {
     const flat = high[2] - low[2] < FLAT * Math.min(high[0] - low[0], high[1] - low[1]);
     this.actors = this.runners.map(({ run }) => new Actors(run, flat));
     this.stage = new Stage(canvas, drawn, aroundBox(flat ? ABOVE : OBLIQUE, low, high));
-    this.stage.orbit.addEventListener("change", () => { this.dirty = true; });
     this.stage.show(this.actors);
     this.haunt($("ghost").checked);
     this.writeScale();
@@ -141,12 +139,12 @@ class Evolution {
       caption.classList.toggle("narrow", width < NARROW);
       Object.assign(caption.style, { left: `${left}px`, top: `${top}px`, maxWidth: `${width}px` });
     });
-    this.dirty = true;
+    this.stage?.touch();
   }
 
   haunt(on) {
     for (const actors of this.actors ?? []) actors.haunt(on);
-    this.dirty = true;
+    this.stage?.touch();
   }
 
   // --- the place ------------------------------------------------------------------------------------------------------
@@ -207,7 +205,7 @@ class Evolution {
     Object.assign(slider, { min: lo, max: hi, step: this.axis === "iterations" ? 1 : "any", value: this.place });
     slider.setAttribute("aria-valuetext", this.runners.map((runner) => `${this.several ? `${LETTERS[runner.index]}: ` : ""}iteration ${runner.iteration} of ${runner.last}`).join(", "));
     this.write();
-    this.dirty = true;
+    this.stage?.touch();
   }
 
   write() {
@@ -242,7 +240,7 @@ class Evolution {
     }
     this.halt = false;
     this.write();
-    this.dirty = true;
+    this.stage?.touch();
   }
 
   get duration() { return Math.max(...this.runners.map(({ duration }) => duration)); }
@@ -254,7 +252,7 @@ class Evolution {
         if (this.halt) Object.assign(this, { mode: "evolution", time: null, halt: false });
         else this.time = 0;
       }
-      this.dirty = true;
+      this.stage?.touch();
       this.write();
     } else if (this.mode === "evolution") {
       const [lo, hi] = this.span, before = this.place, place = before + ((hi - lo) * seconds) / Number($("pace").value);
@@ -275,17 +273,12 @@ class Evolution {
     this.advance(passed);
     if (!this.stage) return;
     this.stage.orbit.update();
-    if (this.dirty || this.mode) this.drawn = ms;
-    else if (this.stage.fine || ms - this.drawn < REST) return;
-    const finely = !this.dirty && !this.mode;
-    this.dirty = false;
-    this.runners.forEach((runner, i) => {
+    const drawn = this.stage.present(ms, Boolean(this.mode), () => this.runners.forEach((runner, i) => {
       const time = this.time === null ? null : Math.min(this.time, runner.duration);
       runner.draw(this.actors[i], time, this.mode === "evolution");
-    });
-    this.stage.draw({ finely });
-    if (this.mode && passed < 0.25) this.stage.pace(1000 * passed);
-    this.frames++;
+    }));
+    if (drawn && this.mode && passed < 0.25) this.stage.pace(1000 * passed);
+    this.frames += drawn;
   }
 
   frames = 0;
@@ -413,7 +406,7 @@ function connect(evolution) {
     evolve: () => evolution.evolve(),
     episode: () => evolution.playEpisode(),
     best: () => evolution.best(),
-    home: () => { evolution.stage?.home(); evolution.dirty = true; },
+    home: () => evolution.stage?.home(),
   };
   for (const [id, act] of Object.entries(press)) $(id).addEventListener("click", act);
   $("episode").disabled = !evolution.runners.some(({ episode }) => episode);
@@ -421,7 +414,7 @@ function connect(evolution) {
   $("place").addEventListener("input", () => evolution.seek($("place").valueAsNumber));
   $("axis").addEventListener("change", () => evolution.change($("axis").value));
   $("ghost").addEventListener("change", () => evolution.haunt($("ghost").checked));
-  $("theme").addEventListener("click", () => { evolution.stage?.paint(); evolution.dirty = true; }); // after the page has changed
+  $("theme").addEventListener("click", () => evolution.stage?.paint()); // after the page has changed
   const pace = () => { $("pace").selectedIndex = ($("pace").selectedIndex + 1) % $("pace").options.length; };
   const keys = {
     " ": press.evolve, e: press.episode, b: press.best, h: press.home, s: pace,
@@ -439,10 +432,12 @@ function connect(evolution) {
   });
 }
 
+const STAYS = "The pictures are those of the best designs; the traces, the slider and the table work.";
+
 /** Say why no body is seen in 3-D; pictures, traces and table stay. */
 function withoutBodies(sentence, missing) {
   document.body.dataset.state = "still";
-  say(`${sentence} The pictures are those of the best designs; the traces, the slider and the table work. ${missing}`.trim());
+  say(`${sentence} ${STAYS} ${missing}`.trim());
 }
 
 async function begin() {
@@ -456,6 +451,7 @@ async function begin() {
   else {
     document.body.dataset.state = "live";
     evolution.perform($("stage"), drawn);
+    watchGraphics(evolution.stage, STAYS, evolution.missing);
   }
   if (!matchMedia("(prefers-reduced-motion: reduce)").matches) evolution.evolve();
   await new Promise((resolve) => {
