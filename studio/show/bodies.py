@@ -83,7 +83,7 @@ class Cast:
                 colour = tuple(int(c) for c in figure.colours[i])
                 for shape in self._shapes(body, figure, i):
                     kind, place, size = self._drawn(shape, figure.sizes[i])
-                    numbers.append(self._number(group, figure.names[i], kind, place, colour, set(numbers)))
+                    numbers.append(self._number(group, shape.name, kind, place, colour, set(numbers)))
                     sizes.append(size)
                     poses.append(shape.pose)
         return numbers, np.array(sizes).reshape(-1, 3), np.stack(poses, 1)
@@ -92,7 +92,7 @@ class Cast:
         """Return what a part of a body is drawn as."""
         pose = np.concatenate([figure.positions[:, i], figure.wxyz[:, i]], 1)
         printed = self.prints.shapes(figure.names[i], pose, body.angles) if self.prints and body.angles else []
-        return printed or [Shape(figure.kinds[i], figure.meshes[i], pose)]
+        return printed or [Shape(figure.names[i], figure.kinds[i], figure.meshes[i], pose)]
 
     def _drawn(self, shape: Shape, size: np.ndarray) -> tuple[str, int, np.ndarray]:
         """Return the kind of a shape, the place of its mesh or -1, and its half-extents (3,) m.

@@ -60,6 +60,7 @@ def lightened(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.n
 class Shape:
     """What a part is drawn as: of the kinds of `Figure`, or a "link", a mesh that is stretched to the part's length."""
 
+    name: str
     kind: str
     mesh: Mesh | None
     pose: np.ndarray
@@ -93,10 +94,10 @@ class Prints:
         """Return what the part of this name is drawn as where its collision shape is at `pose` (T, 7); nothing for a
         part that is not printed. Fingers stand on the palm at `angles` in rad."""
         if name == "palm":
-            mounts = [Shape("mesh", self.mount, _turned(pose, angle)) for angle in angles]
-            return [Shape("mesh", self.plate, pose), *mounts]
+            mounts = [Shape("mount", "mesh", self.mount, _turned(pose, angle)) for angle in angles]
+            return [Shape(name, "mesh", self.plate, pose), *mounts]
         mesh = {"proximal": self.proximal, "distal": self.distal}.get(name.rpartition("_")[2])
-        return [Shape("link", mesh, pose)] if mesh else []
+        return [Shape(name, "link", mesh, pose)] if mesh else []
 
 
 def _turned(pose: np.ndarray, angle: float) -> np.ndarray:
