@@ -13,6 +13,7 @@ const AXES = { iterations: "iteration", env_steps: "environment steps" };
 const FLAT = 0.25; // a scene that is lower than this share of its shorter side is seen from above
 const ABOVE = [0, -0.3, 1], OBLIQUE = [0.55, -1.1, 0.5];
 const NARROW = 280; // px: a view that is less wide has small captions
+const TELL_EVERY = 100; // ms between two changes of what stands beside the picture while the evolution plays
 const PAUSE = 0.7; // s between the end of an episode and its next beginning
 const GOOD = 0.95; // success that is told in green
 
@@ -105,6 +106,7 @@ class Evolution {
     this.several = runs.length > 1;
     this.axis = "iterations";
     this.place = this.span[0];
+    this.told = 0; // ms
     this.mode = ""; // "evolution" or "episode" while one of them plays
     this.time = null; // s into the episodes; null where bodies stand
     this.charts = this.makeCharts();
@@ -200,12 +202,18 @@ class Evolution {
   /** Show everything at the place. */
   turn() {
     for (const runner of this.runners) runner.go(this.axis, this.place);
+    this.stage?.touch();
+    if (this.mode !== "evolution" || performance.now() - this.told > TELL_EVERY) this.tell();
+  }
+
+  /** Write and mark the place: what stands beside the picture costs more than the picture where a processor draws. */
+  tell() {
+    this.told = performance.now();
     for (const chart of this.charts) if (chart.cursor) chart.move(this.place);
     const slider = $("place"), [lo, hi] = this.span;
     Object.assign(slider, { min: lo, max: hi, step: this.axis === "iterations" ? 1 : "any", value: this.place });
     slider.setAttribute("aria-valuetext", this.runners.map((runner) => `${this.several ? `${LETTERS[runner.index]}: ` : ""}iteration ${runner.iteration} of ${runner.last}`).join(", "));
     this.write();
-    this.stage?.touch();
   }
 
   write() {
@@ -262,8 +270,8 @@ class Evolution {
       else if (place >= hi) {
         this.mode = "";
         if (this.runners.some(({ episode }) => episode)) this.playEpisode();
-        this.write();
       }
+      if (this.mode !== "evolution") this.tell();
     }
   }
 
