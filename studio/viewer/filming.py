@@ -126,7 +126,8 @@ class FilmPanel:
         self.bar.visible = self.cancel.visible = making
         self.bar.value = 100.0 * state.done / max(1, state.frames)
         self.bar.animated = making
-        self.make.visible = not making
+        self.what.visible = self.format.visible = self.make.visible = not making  # so that the bar is in sight
+        self.size.visible = not making and self.what.value != "still"
         self.download.visible = ready
         if ready:
             self.download.label = f"Download {wording.size(state.size)}"

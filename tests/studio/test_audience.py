@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import math
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -407,6 +408,7 @@ def test_the_page_of_a_run_is_written_once_for_all_and_anew_after_a_rest(
         append(folder, progress(4))
         assert await pages.page("a run") == b"iteration 3"
         monkeypatch.setattr(evolutions_module, "REST", 0.0)
+        monkeypatch.setattr(evolutions_module, "SHARE", math.inf)
         assert await pages.page("a run") == b"iteration 4"
         for i in range(evolutions_module.KEPT):
             await pages.page(f"another run {i}")
