@@ -50,6 +50,7 @@ from studio.evaluator import Evaluator, EvaluatorError
 from studio.evolutions import Evolutions
 from studio.export.bundle import Bundle, build_bundle
 from studio.filming import Films
+from studio.memory import map_large_blocks
 from studio.new_run import Branch, StartRun
 from studio.news import News
 from studio.patience import PatientProtocol
@@ -175,12 +176,10 @@ def create_app(
     launcher: Slurm | None = None,
     desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album, Films], Shows] = make_desks,
 ) -> FastAPI:
-    """Return the application.
+    """Return the application. New runs are started by `launcher`, by default as processes of this machine.
 
     `app.state` holds `settings`, `access`, `audience`, `stopping`, `runs`, `evaluator` and, while it runs, `viser` and
     `desks`.
-
-    New runs are started by `launcher`, by default as processes of this machine.
     """
     reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
     what_ifs = WhatIfs(evaluator)
@@ -263,7 +262,7 @@ def keep_showing(desks: Shows, runs: Runs, done: threading.Event) -> None:
     while not done.wait(SHOW_INTERVAL):
         with _logged("showing the runs"):
             histories = runs.watched(desks.selected)
-            desks.show(histories, {name: runs.status(history) for name, history in histories.items()}, runs.shown)
+            desks.show(histories, runs.statuses(histories, desks.selected), runs.shown)
             if (asked := runs.take_request()) is not None:
                 desks.turn_to(*asked)
 
@@ -342,12 +341,12 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
     except OSError as error:
         print(f"can't listen on {settings.host}:{settings.port}: {error.strerror or error}", file=sys.stderr)  # noqa: T201
         raise SystemExit(1) from None
+    map_large_blocks()
     app = create_app(settings, launcher=launcher)
     access: Access = app.state.access
     audience: Audience = app.state.audience
     name = f"[{settings.host}]" if ":" in settings.host else settings.host
     address = f"http://{name}:{listener.getsockname()[1]}{settings.root_path}/"
-
     mode = "&present=1" if settings.present else ""
 
     def announce() -> None:

@@ -253,7 +253,7 @@ def reply(message: object, status: int = 200) -> Response:
 def versioned(answer: Response, known: str | None) -> Response:
     """Return an answer with its version as ETag, or only that it has not changed where `known` is If-None-Match."""
     version = f'"{hashlib.sha256(answer.body).hexdigest()[:32]}"'
-    if version in [tag.strip().removeprefix("W/") for tag in (known or "").split(",")]:
+    if {version, "*"} & {tag.strip().removeprefix("W/") for tag in (known or "").split(",")}:
         answer = Response(status_code=304)
     answer.headers["ETag"] = version
     return answer

@@ -14,6 +14,7 @@ import tyro
 
 from morph_core.history import History
 from morph_core.protocol import Which
+from morph_core.run_folder import ITERATION
 from studio.cli.arguments import UsageError
 from studio.cli.choice import open_run
 from studio.cli.output import complain, say, write_json
@@ -98,7 +99,7 @@ def write_film(runs: Path, words: Sequence[str], wanted: FilmArguments, *, json:
 def _place(runs: Path, word: str) -> tuple[History, str | None]:
     """Return the run and the design, None where none is named, of RUN or RUN@DESIGN."""
     run, at, design = word.rpartition("@")
-    if at and (design in ("best", "latest") or design.isdecimal()):
+    if at and (design in ("best", "latest") or ITERATION.fullmatch(design)):
         return open_run(runs, run), design
     return open_run(runs, word), None
 

@@ -12,6 +12,8 @@ const [chooser, chip, statusWord, doing, progress] = ["chooser", "chip", "status
 const [banner, words, dismiss, viewer, loading, theme] = ["banner", "words", "dismiss", "viewer", "loading", "theme"].map(find);
 const [preview, first, title, plan] = ["preview", "first", "title", "plan"].map(find);
 
+const BROKEN = { failed: "has failed", lost: "is lost", unreadable: "is unreadable" };
+
 const has3d = Boolean(document.createElement("canvas").getContext("webgl2"));
 
 let boot = null;
@@ -273,7 +275,7 @@ dismiss.addEventListener("click", () => {
 function sayRun(run) {
   if (refused) return say(refused, "run");
   const reason = run?.reason ? `: ${run.reason}` : "";
-  if (run && ["failed", "lost", "unreadable"].includes(run.status)) say(`${run.status}${reason}  (${run.id})`, "run");
+  if (run && run.status in BROKEN) say(`${run.id} ${BROKEN[run.status]}${reason}`, "run");
   else if (run?.status === "paused" && run.stage !== "paused") say(`paused${reason}`, "note");
   else if (!run && view.run) say(`${view.run} is no longer in the folder of runs: it was deleted or moved. Choose another run, or bring it back on the page of all runs.`, "note");
   else say("", "run");

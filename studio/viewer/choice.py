@@ -7,8 +7,8 @@ from morph_core.history import History
 from morph_core.protocol import Status
 from studio.viewer.run import NOT_LIVE
 
-_START_PATIENCE = 15.0
-"""Seconds after which a started run that never showed up is reported."""
+_START_PATIENCE = 5.0
+"""Seconds after which a run that has not shown up is reported: one that was started is there at once."""
 _GONE = "Choose another run, or bring this one back on the page of all runs: then it is shown again."
 
 
@@ -69,5 +69,5 @@ class Choice:
         if self.is_gone:
             return "lost", f"{self.run} is no longer in the folder of runs: it was deleted or moved. {_GONE}"
         if self.run not in self.statuses and time.monotonic() - self._awaited_since > _START_PATIENCE:
-            message = f"{self.run} has not shown up; the studio's log may say why"
+            return "lost", f"{self.run} has not shown up in the folder of runs: it was deleted or moved. {_GONE}"
         return status, message

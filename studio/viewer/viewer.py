@@ -285,7 +285,7 @@ class Viewer:
         with self._lock:
             history = self.choice.history
             self.start.folder.visible = self.choice.run is None
-            self.tabs.visible = self.choice.run is not None
+            self.tabs.visible = self.timeline.panel.visible = self.choice.run is not None  # the form needs the room
             if history is None:
                 self._show_nothing()
             else:
@@ -380,4 +380,6 @@ class Viewer:
     def _show_time(self, seconds: float, _duration: float) -> None:
         if take := self.player.take:
             self.playback.show_time(take, seconds)
-            self.timeline.show_legend(legend_of(take))
+            legend = legend_of(take)
+            self.timeline.show_legend(legend)
+            self.start.show_legend(legend)

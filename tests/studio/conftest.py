@@ -201,8 +201,9 @@ def design_of(history: History, phi: list[float]) -> Design:
     )  # fmt: skip
 
 
-def eventually(claim: Callable[[], object], seconds: float = 10.0) -> object:
-    """Return the first true value of `claim`, or its last value after `seconds`."""
+def eventually(claim: Callable[[], object], seconds: float = 30.0) -> object:
+    """Return the first true value of `claim`, or its last value after `seconds`: many, for a machine that does much
+    else."""
     deadline = time.monotonic() + seconds
     while not (value := claim()) and time.monotonic() < deadline:
         time.sleep(0.02)

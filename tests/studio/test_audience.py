@@ -77,7 +77,7 @@ class Hall:
     @contextlib.contextmanager
     def listening(self, key: str = KEY) -> Iterator[Iterator[tuple[str, Any]]]:
         """Take a seat; give the events that come."""
-        with self.spectator.stream("GET", "/audience/events", params={"seat": key}, timeout=10) as stream:
+        with self.spectator.stream("GET", "/audience/events", params={"seat": key}, timeout=30) as stream:
             yield events_of(stream.iter_lines())
 
     def watch(
@@ -548,7 +548,7 @@ def test_a_spectator_who_takes_nothing_holds_nobody_up(hall: Hall) -> None:
             stalled.recv()
             mover.start()
             try:
-                taken = [len(browser.recv(timeout=5)) for _ in range(20)]
+                taken = [len(browser.recv(timeout=30)) for _ in range(20)]
             finally:
                 stop.set()
                 mover.join()

@@ -250,10 +250,14 @@ def test_bounds_that_the_browser_rounded_are_no_edits(page: Page, folder: RunFol
     assert page.viewer.design.commands() == [SetBound("placement_1", -0.5, np.pi)]
 
 
-def test_a_heading_gives_an_angle_in_degrees_too(page: Page, folder: RunFolder) -> None:
+def test_a_finger_has_one_heading_with_both_of_its_parameters(page: Page, folder: RunFolder) -> None:
     page.show(folder, "running")
-    assert str(page.viewer.design.rows["placement_1"].folder.label).startswith("placement_1: 0.100 rad, 5.7°")
-    assert str(page.viewer.design.rows["length_2"].folder.label).startswith("length_2: 0.")
+    groups = page.viewer.design.groups
+    assert [group.name for group in groups] == ["finger 1", "finger 2", "finger 3", "finger 4"]
+    assert str(groups[0].folder.label).startswith("finger 1: placement 5.7°, length ")
+    assert groups[0].told.visible
+    assert "placement_1: 0.100 rad, 5.7° (initially 0.000)<br>length_1: 0." in groups[0].told.content
+    assert [row.locked.label for row in page.viewer.design.rows.values()][:2] == ["placement locked", "length locked"]
 
 
 def test_a_run_can_begin_with_a_design_that_was_exported(page: Page, folder: RunFolder) -> None:

@@ -299,20 +299,20 @@ def test_a_newer_job_takes_the_place_of_older_ones() -> None:
 
 
 def test_a_job_waits_until_there_is_no_newer_one_for_a_while() -> None:
-    newest, done = Newest("test", rest=0.2), []
+    newest, done = Newest("test", rest=0.5), []
 
     def job(number: int) -> Callable[[Cancellation], None]:
         return lambda _: done.append((number, time.monotonic()))
 
     for number in range(5):
-        newest.put(job(number))
         time.sleep(0.02)
-    last = time.monotonic()
+        last = time.monotonic()
+        newest.put(job(number))
     assert eventually(lambda: done)
     assert [number for number, _ in done] == [4]
-    assert done[0][1] - last > 0.1
+    assert done[0][1] - last > 0.4
     newest.put(job(9))
     newest.cancel()
-    time.sleep(0.3)
+    time.sleep(0.6)
     assert len(done) == 1
     newest.stop()
