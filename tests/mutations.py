@@ -875,12 +875,13 @@ MUTANTS: tuple[Mutant, ...] = (
         ("self._offered = ()\n        self.dismiss", "self.dismiss"),
     ),
     *_of(
-        "studio/spectators.py", "studio/test_audience.py",
+        "studio/spectators.py",
+        "studio/test_audience.py::test_a_spectator_looks_alone_at_runs_that_were_shown_and_at_no_others",
         ("if run_id not in audience.offered", "if False"),
         ('_ALONE = "sandbox allow-scripts; ', '_ALONE = "'),
     ),
     *_of(
-        "studio/evolutions.py", "studio/test_audience.py::test_the_page_of_a_run_is_written_once_for_all_and_anew_after_a_rest",
+        "studio/evolutions.py", "studio/test_audience.py::test_the_page_of_a_run_is_written_once_for_all",
         ("known is None or known.is_due(history)", "True"),
         ("history.iteration != self.iteration and age", "age"),
         ("len(self._written) > KEPT", "False"),

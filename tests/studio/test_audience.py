@@ -389,9 +389,7 @@ def test_a_spectator_looks_alone_at_runs_that_were_shown_and_at_no_others(hall: 
     assert hall.served.client.get(f"/audience/runs/{shown.id}/evolution.html").status_code == 404
 
 
-def test_the_page_of_a_run_is_written_once_for_all_and_anew_after_a_rest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_of_a_run_is_written_once_for_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, written = make_run(tmp_path), []
 
     def build(histories: list[History]) -> Any:
