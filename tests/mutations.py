@@ -899,9 +899,9 @@ MUTANTS: tuple[Mutant, ...] = (
         ("if reel.frames > MOST_FRAMES", "if False"),
     ),
     *_of(
-        "studio/viewer/pending.py", "studio/test_viewer.py",
-        ("if i >= asked_at and answered == command", "if answered == command"),
-        ("            answers.remove(answer)\n", "            pass\n"),
+        "studio/viewer/pending.py", "studio/test_steering.py::test_each_answer_is_that_to_one_command_before_it",
+        ("if i >= first and answered == command", "if answered == command"),
+        ("left.append((command, first))", "left.append((command, asked_at))"),
     ),
     *_of(
         "studio/elements.py", "studio/test_bridge.py",
