@@ -882,6 +882,36 @@ MUTANTS: tuple[Mutant, ...] = (
         ("self.dismiss(ENDED)", "pass"),
         ("known < self._count", "False"),
         ("if seat.follows and", "if"),
+        ("self._offered = ()\n        self.dismiss", "self.dismiss"),
+    ),
+    *_of(
+        "studio/spectators.py",
+        "studio/test_audience.py::test_a_spectator_looks_alone_at_runs_that_were_shown_and_at_no_others",
+        ("if run_id not in audience.offered", "if False"),
+        ('_ALONE = "sandbox allow-scripts; ', '_ALONE = "'),
+    ),
+    *_of(
+        "studio/evolutions.py", "studio/test_audience.py::test_the_page_of_a_run_is_written_once_for_all",
+        ("known is None or known.is_due(history)", "True"),
+        ("history.iteration != self.iteration and age", "age"),
+        ("len(self._written) > KEPT", "False"),
+    ),
+    # --- films ---
+    *_of(
+        "studio/filming.py", "studio/test_filming.py",
+        ("if self._making is not None:\n                raise", "if False:\n                raise"),
+        ("_end(self._making.child)", "pass"),
+        ("self._state.number == number and", ""),
+    ),
+    *_of(
+        "studio/film/__main__.py", "studio/test_filming.py",
+        ("os.nice(19)", "os.nice(0)"),
+        ("if reel.frames > MOST_FRAMES", "if False"),
+    ),
+    *_of(
+        "studio/viewer/pending.py", "studio/test_steering.py::test_each_answer_is_that_to_one_command_before_it",
+        ("if i >= first and answered == command", "if answered == command"),
+        ("left.append((command, first))", "left.append((command, asked_at))"),
     ),
     *_of(
         "studio/elements.py", "studio/test_bridge.py",

@@ -242,7 +242,7 @@ def test_the_start_page_plays_the_recorded_run_of_the_chosen_task_where_there_is
     viewer.show({}, {})
     assert eventually(lambda: caption(visit))
     assert str(caption(visit)["label"]).startswith("recorded: ")
-    assert str(caption(visit)["label"]).endswith(" shown in 20 s")
+    assert str(caption(visit)["label"]).endswith(", shown in 20 s")
     assert viewer.stage.projector.history is recording(viewer.start.task.value).history
     for task in TASKS:
         viewer.start.task.value = task
@@ -318,7 +318,7 @@ def test_presenters_mode_plays_the_film_of_a_run_and_trains_live_by_a_key(visit:
     assert viewer.view.presents
     assert viewer.stage.projector.history is history
     assert eventually(lambda: caption(visit).get("presents"))
-    assert caption(visit)["label"] == f"{NAME}: finished shown in 20 s"
+    assert caption(visit)["label"] == f"{NAME}: finished, shown in 20 s"
     assert caption(visit)["enter"]
     deeds["enter"](None)
     assert [wish.task for wish in visit.started] == ["reacher"]
