@@ -522,6 +522,15 @@ MUTANTS: tuple[Mutant, ...] = (
         ("servo=self.servo, servo_limits=self.servo_limits)", "servo=self.servo)"),
     ),
     *_of(
+        f"{CORE}/tasks/grasp.py",
+        "core/test_grasp_physics.py::test_a_scene_that_is_given_a_design_is_the_scene_made_for_it",
+        ("self.hand.set_design(scene, phi)", "pass"),
+    ),
+    *_of(
+        f"{CORE}/tasks/simulation.py", "core/test_grasp_physics.py",
+        ("task.set_design(scene, design)", "pass"),
+    ),
+    *_of(
         f"{CORE}/tasks/simulation.py", "core/test_servos.py",
         ("for _ in range(SUBSTEPS):", "for _ in range(SUBSTEPS - 1):"),
         ("batch.step(nstep=1)", "batch.step(nstep=2)"),
