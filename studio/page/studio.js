@@ -199,10 +199,10 @@ function duration(seconds) {
 
 function describe(run) {
   const parts = [];
-  if (run.stage) parts.push(run.stage);
   if (run.iterations) parts.push(`iteration ${run.iteration} of ${run.iterations}`);
   if (run.eta_seconds !== null && run.status === "running") parts.push(`${duration(run.eta_seconds)} left`);
   if (run.success !== null) parts.push(`success ${percent(run.success)}`);
+  if (run.stage) parts.push(run.stage); // the last one is what a narrow page cuts off
   return parts.join("  ·  ");
 }
 
