@@ -1,6 +1,7 @@
 """Files and folders that are there whole or not at all, whenever the machine or the process goes down."""
 
 import contextlib
+import errno
 import os
 import re
 import secrets
@@ -95,7 +96,9 @@ def recover(parent: Path, target: re.Pattern[str]) -> None:
 
 
 def _beside(target: Path, suffix: str) -> Path:
-    """Return a hidden path that nobody else uses; its name says whose it is."""
+    """Return a hidden path that nobody else uses; its name says whose it is. OSError for a path without a name."""
+    if target.name in ("", ".."):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
     return target.with_name(f".{target.name[:_NAME]}.{secrets.token_hex(4)}.{suffix}")
 
 

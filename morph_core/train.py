@@ -6,6 +6,7 @@ import functools
 import math
 import os
 import platform
+import shlex
 import signal
 import sys
 import threading
@@ -96,7 +97,7 @@ class Trainer:
         self._budget = None if (further or until) is not None else self._record.env_steps
         self._longest_iteration = 1  # environment steps
         self._method: Method | None = None
-        self._searches, self._collected_in = True, 0.0
+        self._is_searching, self._collected_in = True, 0.0
         self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
         self._best: Evaluation | None = None
@@ -227,7 +228,7 @@ class Trainer:
             return None
         evaluation, every = self._method.evaluation, self._method.search_interval
         first, last = self._iteration, self._iteration + remaining
-        searches = min(last, self._last_search) // every - first // every if self._searches else 0
+        searches = min(last, self._last_search) // every - first // every if every > 1 and self._is_searching else 0
         evaluations = last // evaluation.interval - first // evaluation.interval
         evaluations += remaining > 0 and last % evaluation.interval > 0  # each run ends with one
         at_the_end = self._record.final_episodes / evaluation.episodes
@@ -286,7 +287,7 @@ class Trainer:
         raise RunFolderError(
             f"{why}. No checkpoint is left to go on from. To begin anew from the initial design, which gives up "
             f"{history.iteration - history.begins_at} iterations: "
-            f"morph-studio train --resume {self._folder.id} --from-start"
+            f"morph-studio train --resume {shlex.quote(str(self._folder.path))} --from-start"
         )
 
     def _take_in(self, task: Task, method: Method, state: State, progress: Progress) -> None:
@@ -294,7 +295,7 @@ class Trainer:
         if not all_finite(state) or not np.isfinite(progress.episode_return):
             raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
         self._iteration, self._env_steps = state.iteration, state.env_steps
-        self._searches, self._collected_in = not state.frozen, state.collected_in
+        self._is_searching, self._collected_in = not state.frozen, state.collected_in
         progress = msgspec.structs.replace(
             progress, relabelled_steps=state.relabelled_steps, search_steps=state.search_steps,
             diverged=state.diverged, cpu_seconds=self._cpu_seconds,
@@ -346,13 +347,12 @@ class Trainer:
 
     def _tell(self, state: State, sampled: Score, mean: Score, episodes: int, **said: Any) -> None:
         told = Evaluation(
-                iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
-                sampled_success=sampled.success, sampled_return=sampled.episode_return,
-                deterministic_success=mean.success, deterministic_return=mean.episode_return,
-                milestones=sampled.milestones, diverged=sampled.diverged, reward_terms=sampled.reward_terms,
-                return_interval=sampled.return_interval,
-                cpu_seconds=self._cpu_seconds, episodes=episodes, **said,
-            )  # fmt: skip
+            iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
+            sampled_success=sampled.success, sampled_return=sampled.episode_return,
+            deterministic_success=mean.success, deterministic_return=mean.episode_return,
+            milestones=sampled.milestones, diverged=sampled.diverged, reward_terms=sampled.reward_terms,
+            return_interval=sampled.return_interval, cpu_seconds=self._cpu_seconds, episodes=episodes, **said,
+        )  # fmt: skip
         self._write(told)
         self._best = max((e for e in (self._best, told) if e), key=merit)
 

@@ -35,6 +35,7 @@ from studio.api.designs import designs_router, imports_router
 from studio.api.desks import desks_router
 from studio.api.docs import docs_router
 from studio.api.events import events_router
+from studio.api.films import films_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.news import news_router
 from studio.api.recorded import recorded_router
@@ -49,7 +50,10 @@ from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
 from studio.browser import open_in_browser
 from studio.desks import Desks, Presenting
 from studio.evaluator import Evaluator, EvaluatorError
+from studio.evolutions import Evolutions
 from studio.export.bundle import Bundle, build_bundle
+from studio.filming import Films
+from studio.memory import map_large_blocks
 from studio.new_run import Branch, StartRun
 from studio.news import News
 from studio.patience import PatientProtocol
@@ -118,7 +122,7 @@ class _GuardedApp(FastAPI):
         return Prefixed(Guard(compressed, self.state.access), settings.root_path, settings.proxies)
 
 
-def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: Album) -> Desks:
+def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: Album, films: Films) -> Desks:
     """Return the viewers of all browsers, with what their users ask for passed on to the runs."""
 
     def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
@@ -146,6 +150,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
             family=lambda run_id: tree_of(run_id, runs.parents()),
             album=album,
             others=runs,
+            films=films,
             recordings=runs.recordings,
         )
         if 0 < client.camera.image_width < NARROW_PAGE:
@@ -172,20 +177,18 @@ def create_app(
     *,
     runs: Runs | None = None,
     launcher: Slurm | None = None,
-    desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album], Shows] = make_desks,
+    desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album, Films], Shows] = make_desks,
 ) -> FastAPI:
-    """Return the application.
+    """Return the application. New runs are started by `launcher`, by default as processes of this machine.
 
     `app.state` holds `settings`, `access`, `audience`, `stopping`, `runs`, `evaluator` and, while it runs, `viser` and
     `desks`.
-
-    New runs are started by `launcher`, by default as processes of this machine.
     """
     reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
     what_ifs = WhatIfs(evaluator)
     watched = runs or Runs(settings.runs, reserve.spawn, launcher, settings.trainers)
     thumbnails = Thumbnails()
-    album = Album(watched, thumbnails)
+    album, films = Album(watched, thumbnails), Films(lambda run_id: watched.get(run_id).folder.path)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
     access = Access(settings)
     audience = Audience(access.invitation)
@@ -197,13 +200,14 @@ def create_app(
         with contextlib.ExitStack() as ends:
             ends.callback(report.close)
             ends.callback(evaluator.close)
+            ends.callback(films.close)
             if runs is None:
                 ends.callback(reserve.close)
                 if launcher is None:
                     reserve.load()
             app.state.viser = GuardedViser()
             ends.callback(app.state.viser.stop)
-            app.state.desks, done = desks(app.state.viser.server, watched, what_ifs, album), threading.Event()
+            app.state.desks, done = desks(app.state.viser.server, watched, what_ifs, album, films), threading.Event()
             ends.callback(app.state.desks.stop)
             painter = threading.Thread(
                 target=keep_showing, args=(app.state.desks, watched, done), name="desks", daemon=True
@@ -245,7 +249,8 @@ def create_app(
         news_router(News(watched), boot, stopping),
         desks_router(),
         audience_router(audience),
-        spectators_router(audience, access),
+        films_router(films),
+        spectators_router(audience, access, Evolutions(watched.get)),
         viewer_router(),
         docs_router(),
     ):
@@ -349,12 +354,12 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
     except OSError as error:
         print(f"can't listen on {settings.host}:{settings.port}: {error.strerror or error}", file=sys.stderr)  # noqa: T201
         raise SystemExit(1) from None
+    map_large_blocks()
     app = create_app(settings, launcher=launcher)
     access: Access = app.state.access
     audience: Audience = app.state.audience
     name = f"[{settings.host}]" if ":" in settings.host else settings.host
     address = f"http://{name}:{listener.getsockname()[1]}{settings.root_path}/"
-
     mode = "&present=1" if settings.present else ""
 
     def announce() -> None:

@@ -1,6 +1,7 @@
 """Programs in processes of their own that need not load torch first: a server that has loaded it forks them."""
 
 import importlib
+import io
 import multiprocessing
 import os
 import signal
@@ -14,15 +15,20 @@ from morph_core.run_folder import RunFolder
 
 _FORK = multiprocessing.get_context("forkserver")
 _FORK.set_forkserver_preload(
-    ["morph_core.train", "morph_core.evaluate", "cma", "studio.cli.train", "studio.cli.export", "studio.export.apart"]
+    [
+        *("morph_core.train", "morph_core.evaluate", "studio.cli.train", "studio.cli.export", "studio.export.apart"),
+        *("cma", "torch._dynamo"),  # the search imports one, and the first optimiser the other
+    ]
 )
 
 
-def _run(module: str, words: Sequence[str], into: Path, cwd: Path, environment: Mapping[str, str]) -> None:
-    """Be `python -m MODULE WORDS` in a new process, whose output and errors go to two files."""
+def _run(module: str, words: Sequence[str], heard: str, into: Path, cwd: Path, environment: Mapping[str, str]) -> None:
+    """Be `python -m MODULE WORDS` in a new process that hears `heard`; output and errors go to two files."""
     os.chdir(cwd)
     os.environ.clear()
     os.environ.update(environment)
+    sys.path[:0] = [place for place in environment.get("PYTHONPATH", "").split(os.pathsep) if place]
+    sys.stdin = io.StringIO(heard)
     for descriptor, name in ((1, "output"), (2, "errors")):
         os.dup2(os.open(into / name, os.O_WRONLY | os.O_CREAT), descriptor)
     sys.argv = [module, *words]
@@ -33,11 +39,16 @@ class Forked:
     """A program at work: a module with `main()`, started with the words of its command line."""
 
     def __init__(
-        self, module: str, *words: str, cwd: Path | None = None, environment: Mapping[str, str] | None = None
+        self,
+        module: str,
+        *words: str,
+        heard: str = "",
+        cwd: Path | None = None,
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         self._said = tempfile.TemporaryDirectory()
-        into = Path(self._said.name)
-        arguments = (module, words, into, cwd or Path.cwd(), dict(os.environ if environment is None else environment))
+        places = Path(self._said.name), cwd or Path.cwd()
+        arguments = module, words, heard, *places, dict(os.environ if environment is None else environment)
         self._process = _FORK.Process(target=_run, args=arguments)
         self._process.start()
         assert self._process.pid is not None

@@ -879,7 +879,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/viewer/viewer.py", "studio/test_recordings.py",
-        (" if run_id in self._recordings else words", " if False else words"),
+        (" if run_id in recordings else words", " if False else words"),
     ),
     *_of(
         "studio/bridge.py", "studio/test_bridge.py::test_only_allowed_kinds_are_admitted",
@@ -889,6 +889,117 @@ MUTANTS: tuple[Mutant, ...] = (
         "studio/bridge.py",
         "studio/test_bridge.py::test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives",
         ('content if set(content["updates"]) <= {"value"} else None', "content"),
+    ),
+    # --- films and pages of an evolution ---
+    *_of(
+        "studio/film/plan.py", "studio/test_film.py",
+        ('iteration, "right")) - 1', 'iteration, "left")) - 1'),
+        ("if e.iteration <= self.side.until]", "]"),
+        ("min(round(moment.time * FRAMES_PER_SECOND), story.episode.frames - 1)", "0"),
+        ("return Moment(act, self.last, LONGEST)", "return Moment(act, self.last, 0.0)"),
+        ("best.iteration if best and best.iteration in recorded else max(recorded, default=None)",
+         "max(recorded, default=None)"),
+    ),
+    *_of(
+        "studio/film/reel.py", "studio/test_film.py",
+        ('.get("digest") == digest', '.get("digest")'),
+        ("said.update(story.phis.tobytes())", "pass"),
+        ("if path.name == _PLAN or path.suffix in", "if True or path.suffix in"),
+        ("if not self.path(part).exists()]", "]"),
+    ),
+    *_of(
+        "studio/film/lens.py", "studio/test_film.py",
+        ("min(width / sides[0], height / sides[1])", "max(width / sides[0], height / sides[1])"),
+    ),
+    *_of(
+        "studio/film/words.py", "studio/test_film.py",
+        ("before = [e for e in story.evaluations if e.iteration <= iteration]", "before = story.evaluations"),
+        ("np.where(high > low, high - low, 1.0)", "high - low"),
+    ),
+    *_of(
+        "studio/show/evolution.py", "studio/test_evolution_page.py",
+        ("EPISODE_BYTES // len(histories)", "EPISODE_BYTES"),
+        ("played[-1:]]", "played[:0]]"),
+        ("_body(task, phi))", "_body(task, designs.phi[0]))"),
+    ),
+    *_of(
+        "studio/show/course.py", "studio/test_evolution_page.py",
+        ('side="right") - 1', 'side="left")'),
+        ("(designs.phi[designs.of_row] == phi).all(1)", "(designs.phi[designs.of_row] == phi).any(1) | True"),
+    ),
+    *_of(
+        "studio/show/bodies.py", "studio/test_evolution_page.py",
+        ("np.where(turned, -1, 1)", "np.where(turned, 1, 1)"),
+        ("np.where(np.isfinite(self.contact), ", "np.where(True, "),
+        ("max(2, budget // size) if size", "len(recorded) if size"),
+    ),
+    *_of(
+        "studio/show/thin.py", "studio/test_evolution_page.py",
+        ("dict.fromkeys([0, count - 1, *marked])", "dict.fromkeys([*marked, 0, count - 1])"),
+        ("most - len(kept)", "most"),
+    ),
+    # --- in a notebook ---
+    *_of(
+        "studio/notebook.py", "studio/test_notebook.py",
+        ("escape(page.decode())", "page.decode()"),
+        ('sandbox="allow-scripts"', 'sandbox="allow-scripts allow-same-origin"'),
+        ('end is None or end.status == "failed"', "end is None"),
+        ("self.history.poll()\n        return Design(", "return Design("),
+        ("            if asked:", "            if not asked:"),
+    ),
+    # --- the runs page, recorded runs and the gallery ---
+    *_of(
+        "studio/shelf/marks.py",
+        "studio/test_shelf.py studio/test_timeline.py::test_no_more_designs_are_starred_than_are_allowed "
+        "studio/test_timeline.py::test_designs_are_starred_by_the_api_and_only_those_that_are_there",
+        ("set(marks.starred_designs) - {iteration}", "set(marks.starred_designs)"),
+        ("if value is not msgspec.UNSET}", "}"),
+        ("len(designs) > MOST_STARS", "False"),
+    ),
+    *_of(
+        "studio/shelf/outcome.py", "studio/test_shelf.py",
+        ("key=lambda e: (e.sampled_success, e.sampled_return)", "key=lambda e: e.sampled_success"),
+        ("if e.iteration <= start.iteration]", "]"),
+        ("ends = [*(i - 1 for i", "ends = [*(i for i"),
+        ("_EVERY_ITERATION in line and _EVERY_ITERATION in following", "_EVERY_ITERATION in line"),
+    ),
+    *_of(
+        "studio/shelf/thumbnails.py", "studio/test_shelf.py",
+        ("self._kept.move_to_end(key)", "pass"),
+        ("self._size > self._most_bytes", "False"),
+    ),
+    *_of(
+        "studio/shelf/traces.py", "studio/test_shelf.py",
+        ("begin, end = max(run[0]", "begin, end = min(run[0]"),
+        ("values[stretch].argmax(0)", "values[stretch].argmin(0)"),
+        ("tail = (1 - CONFIDENCE) / 2", "tail = (1 - CONFIDENCE) * 5"),
+    ),
+    *_of(
+        "studio/shelf/trash.py", "studio/test_shelf.py",
+        ("entry[1].deleted, reverse=True", "entry[1].deleted"),
+        (" and moment >= trashed.deleted + AT_LEAST", ""),
+        ("    with hold(folder):\n        durable", "    if True:\n        durable"),
+        ("if m and not path.is_symlink()]", "if m]"),
+    ),
+    *_of(
+        "studio/recordings.py", "studio/test_recordings.py",
+        ("if run_id in self:\n            raise", "if False:\n            raise"),
+        ("not self.history.progress or not self.origin.episodes", "not self.history.progress"),
+        (" and run_id in self.names()", ""),
+    ),
+    *_of(
+        "studio/viewer/gallery.py", "studio/test_timeline.py",
+        ("iteration in first, ", "False, "),
+        ("sorted(others - set(first))", "sorted(others)"),
+        ("[i for i in success if i in known] or list(known)", "list(known)"),
+        ("in known][:MOST_STARRED]", "in known]"),
+    ),
+    *_of(
+        "studio/listing.py", "studio/test_listing.py studio/test_runs.py",
+        ("known[0] != changed_at", "False"),
+        ("replace(known, status=status, reason=reason)", "replace(known)"),
+        ('line.status != "unreadable" or (self._runs / line.id).exists()', "True"),
+        ("reason[:LONGEST_REASON]", "reason"),
     ),
     # --- the report of a study ---
     *_of(

@@ -129,5 +129,5 @@ def check_environments(count: Any) -> int:
 def _numbers(name: str, value: Any) -> np.ndarray:
     try:
         return np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be numbers, not {value!r}") from None

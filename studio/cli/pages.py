@@ -8,7 +8,9 @@ from studio.show.sheet import Page
 
 
 def check_place(out: Path, command: str) -> None:
-    """Raise UsageError where there is no folder for the file `out`, before anything is made."""
+    """Raise UsageError where `out` can't be a file for want of a folder, or is one itself, before anything is made."""
+    if out.is_dir():
+        raise UsageError(f"{command}: {out} is a folder; give the path of a file")
     if not out.parent.is_dir():
         raise UsageError(f"{command}: there is no folder {out.parent} to write into")
 

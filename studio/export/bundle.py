@@ -22,7 +22,6 @@ from studio.export import onnx_policy, servos
 from studio.export.archive import zipped
 from studio.export.check import Check
 from studio.export.control import control_settings
-from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
 from studio.export.materials import bill_csv, bill_html, bill_of_materials
@@ -32,17 +31,18 @@ from studio.export.plates import Prints, plan_prints, print_files, printers_for
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.printers import DEFAULT, printer_of
 from studio.export.prints_page import prints_html
-from studio.export.proof import PROVENANCE, check_onnx, prove_policy, prove_robot
+from studio.export.proof import PROVENANCE, check_onnx, prove_robot
 from studio.export.provenance import provenance_of
 from studio.export.report import Section, Sheet, report
 from studio.export.ros import package_name, ros_package
-from studio.export.servos import ServoTable, check_servo, compared_servos, servo_html, verdict
+from studio.export.servos import ServoTable, check_servo, servo_html, verdict
 from studio.export.step import step_files
+from studio.export.trial import Trial, begun
 from studio.export.urdf import write_urdf
-from studio.export.views import views_of
+from studio.export.views import Views, views_of
 from studio.export.zero import hold_keyframes, moved_zero, servo_targets
 from studio.robots.chooser import robot_of
-from studio.robots.deviation import deviation
+from studio.robots.deviation import Deviation, deviation
 from studio.robots.parts import Part, colours_of, dress, stl_files
 from studio.robots.robot import Program, Robot
 
@@ -123,36 +123,41 @@ def _build(
     design = _design(history, task, which, iteration, phi, parts)
     policy = policy_at(history, iteration, phi)
     try:
-        files = robot_files(task, phi, parts, formats)
+        files = simulated_files(task, phi, parts, formats)
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
-    prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
-    files |= print_files(prints) if prints else {}
-    checks = prove_robot(files, design, task, phi, only_mujoco=True)
     recorded = next(
         (e for e in reversed(history.evaluations) if e.iteration == iteration and e.phi == phi.tolist()), None
     )
-    scores: list[Score] = []
-    table: ServoTable | None = None
     program = robot.program(phi) if policy and "mjcf" in formats else None
+    promised: list[Score] = []
+    trial: Trial | None = None
     if policy and program:
+        promised = _promised(history, recorded, policy)
         files |= policy_files(policy, program, task.horizon)
-        if onnx_policy.is_available():
+        trial = Trial(files.copy(), task.name, design.task_options, phi, promised, wanted, EPISODES)
+    with begun(trial) as outcome:
+        files |= seen_files(task, phi, parts, formats)
+        prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
+        files |= print_files(prints) if prints else {}
+        checks = prove_robot(files, design, task, phi, only_mujoco=True)
+        if policy and program and onnx_policy.is_available():
             files[onnx_policy.FILE] = onnx_policy.onnx_file(policy, program, _facts(task, history, iteration))
             checks.append(check_onnx(files, task, phi))
-        recorder = Recorder()
-        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), EPISODES, recorder)
-        table = compared_servos(recorder, task, phi, wanted)
-        checks += compared
-        scores = [*([msgspec.structs.replace(found, where="at export")] if found else []),
-                  *_promised(history, recorded, policy)]  # fmt: skip
+        model = task.spec(phi).compile()
+        off = deviation(model, parts, points=_POINTS) if robot.printed else None
+        views = views_of(model, parts) if parts else None
+        came = outcome()
+    checks += came.checks
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
+    scores = [*([msgspec.structs.replace(came.score, where="at export")] if came.score else []), *promised]
     files[FILE] = _json(msgspec.to_builtins(design))
     measured = _episodes(history, recorded) if recorded else None
     oldest = _oldest(files)
     files |= _papers(
-        task, design, phi, parts, prints, program, scores, recorded, measured, formats, oldest, table, wanted
+        task, design, phi, parts, prints, program, scores, recorded, measured, formats, oldest, came.table, wanted,
+        off, views,
     )  # fmt: skip
     said, bed = [str(check) for check in checks], prints.printer.name if prints else ""
     provenance = provenance_of(history, iteration, files, said, scores, oldest, bed)
@@ -189,6 +194,11 @@ def parts_of_design(robot: Robot, phi: np.ndarray) -> list[Part]:
 
 def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
     """Return the robot in every format; where its parts are printed, it shows the files that are printed."""
+    return simulated_files(task, phi, parts, formats) | seen_files(task, phi, parts, formats)
+
+
+def simulated_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
+    """Return the robot in the formats of simulators, and its parts as STL, which those show."""
     robot = robot_of(task)
     spec, scene = task.spec(phi), task.scene(phi)
     _add_start(task, scene, phi)
@@ -217,7 +227,14 @@ def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Seq
             files |= ros_package(task.name, name, urdf[f"{name}.urdf"], {**shown, **urdf}, size)
         files |= urdf if "urdf" in formats else {}
         files["control.json"] = _json(control_settings(model, scene.compile(), zero))
+    return files
+
+
+def seen_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
+    """Return the robot in the formats in which people look at it."""
+    files: dict[str, bytes] = {}
     if "glb" in formats:
+        model = moved_zero(task.spec(phi), robot_of(task).zero(phi)).compile()
         files["assembly.glb"] = glb(parts, model, colours_of(model, parts))
     if "step" in formats:
         files |= step_files(parts)
@@ -246,6 +263,8 @@ def _papers(
     oldest: str,
     table: ServoTable | None,
     wanted: ServoName | None,
+    off: Deviation | None,
+    views: Views | None,
 ) -> dict[str, bytes]:
     """Return what is written for people."""
     robot = robot_of(task)
@@ -254,11 +273,8 @@ def _papers(
         "README.txt": _readme(task, robot, held, program, oldest, table).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
-    model = task.spec(phi).compile()
-    more = [Section("Print it", prints_html(prints))] if prints else []
-    if robot.printed:
-        measured = deviation(model, parts, points=_POINTS)
-        more.insert(0, Section("Printed and simulated", f"<p>{escape(measured.words)}"))
+    more = [Section("Printed and simulated", f"<p>{escape(off.words)}")] if off else []
+    more += [Section("Print it", prints_html(prints))] if prints else []
     if table:
         papers[servos.FILE] = _json(msgspec.to_builtins(table))
         more.append(Section("Servos", servo_html(table)))
@@ -268,7 +284,7 @@ def _papers(
         more.append(Section("Bill of materials", bill_html(lines)))
     sheet = Sheet(
         title=task.title, design=design, robot=robot, parts=parts,
-        views=views_of(model, parts) if parts else None, formats=held, scores=scores,
+        views=views, formats=held, scores=scores,
         recorded=recorded, episodes=episodes, program=program,
         more=more, no_onnx="" if onnx_policy.is_available() else onnx_policy.MISSING,
     )  # fmt: skip

@@ -328,6 +328,7 @@ def test_an_initial_design_that_cannot_be_built_is_refused_as_well(make: Make) -
         ({"phi": "long"}, "phi must be numbers, not 'long'"),
         ({"phi": None}, "5 are needed"),
         ({"phi": [[3.0], [3.0, 3.0]]}, "phi must be numbers"),
+        ({"phi": [10**400] * 5}, "phi must be numbers"),
         ({"phi": np.ones((4, 5))}, "needed"),
         (["phi"], "options must be a dict or None"),
     ],

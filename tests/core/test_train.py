@@ -25,7 +25,7 @@ from morph_core.searches.cma import Cma
 from morph_core.state import start
 from morph_core.train import SHOWN_DESIGNS, Trainer, _keep_beating, apply_edit, train
 from tests.core.conftest import SMALL, make_run, small_method
-from tests.forked import trainer
+from tests.forked import Forked, trainer
 
 
 def trained(folder: RunFolder, *words: str) -> History:
@@ -366,14 +366,9 @@ def test_a_disk_that_is_full_pauses_the_run_and_loses_nothing(tmp_path: Path) ->
 
 def test_a_trainer_in_reserve_starts_at_a_word_and_goes_when_nobody_needs_it(tmp_path: Path) -> None:
     folder = make_run(tmp_path)
-    command = [sys.executable, "-m", "morph_core.train", "--standby"]
-    used = subprocess.Popen(command, stdin=subprocess.PIPE, text=True)
-    used.communicate(json.dumps({"run": str(folder.path), "further": None}) + "\n", timeout=100)
-    assert used.returncode == 0
-    assert History(folder).status == "finished"
-    unused = subprocess.Popen(command, stdin=subprocess.PIPE, text=True)
-    unused.communicate("", timeout=100)
-    assert unused.returncode == 0
+    for heard, iteration in (("", 0), (json.dumps({"run": str(folder.path), "further": None}) + "\n", 6)):
+        assert Forked("morph_core.train", "--standby", heard=heard).wait() == 0
+        assert History(folder).iteration == iteration
 
 
 @pytest.mark.slow

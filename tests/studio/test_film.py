@@ -240,9 +240,13 @@ def test_two_runs_stand_side_by_side_and_the_shorter_one_waits(reached: RunFolde
 # --- rendered, interrupted, resumed -----------------------------------------------------------------------------------
 
 
+ODD_MP4 = "http:%d 'ü .mp4"
+"""A name that ffmpeg would take for an address and a number of a picture."""
+
+
 def test_an_interrupted_film_goes_on_and_has_the_same_bytes(reached: RunFolder, ready: bytes, tmp_path: Path) -> None:
     film = plan_evolution([History(reached)], SMALL, 5, 2.0)
-    out = tmp_path / "film.mp4"
+    out = tmp_path / ODD_MP4
     drawn = 0
 
     def interrupt(frames: int) -> None:
@@ -254,7 +258,7 @@ def test_an_interrupted_film_goes_on_and_has_the_same_bytes(reached: RunFolder, 
     with pytest.raises(KeyboardInterrupt):
         Reel.of(film, out).render(1, interrupt)
     assert not out.exists()
-    assert sorted(path.name for path in (tmp_path / "film.mp4.parts").iterdir()) == ["000000.mp4", "film.json"]
+    assert sorted(path.name for path in (tmp_path / f"{ODD_MP4}.parts").iterdir()) == ["000000.mp4", "film.json"]
     told: list[int] = []
     resumed = Reel.of(film, out)
     resumed.render(1, told.append)
@@ -262,7 +266,7 @@ def test_an_interrupted_film_goes_on_and_has_the_same_bytes(reached: RunFolder, 
     assert sum(told) == resumed.frames == Script(film).frames
     resumed.join()
     assert out.read_bytes() == ready
-    assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+    assert [path.name for path in tmp_path.iterdir()] == [ODD_MP4]
     assert imageio_ffmpeg.count_frames_and_secs(str(out)) == (resumed.frames, pytest.approx(resumed.frames / 5))
     assert next(imageio_ffmpeg.read_frames(str(out)))["size"] == SMALL
 
@@ -279,7 +283,7 @@ def test_parts_of_another_film_are_not_taken(reached: RunFolder, tmp_path: Path)
 
 
 def test_a_gif_lasts_as_long_as_its_film(reached: RunFolder, tmp_path: Path) -> None:
-    out = tmp_path / "film.gif"
+    out = tmp_path / "pipe:%03d 'ü.gif"
     made = Reel.of(plan_episode([(History(reached), "best")], None, SMALL, 5), out)
     made.render(1, lambda _: None)
     made.join()

@@ -233,7 +233,7 @@ def caption(page: Page) -> dict[str, object]:
 @pytest.fixture
 def visit(page: Page) -> Page:
     """A page to which all recorded runs are known, and which has not been told of any other."""
-    page.viewer._recordings = SHIPPED
+    page.viewer.beginning.recordings = SHIPPED
     return page
 
 
@@ -264,10 +264,10 @@ def test_where_there_are_runs_it_is_offered_and_not_played(visit: Page, tmp_path
     assert viewer.stage.projector.history is None
     assert viewer.recorded.folder.visible
     assert viewer.recorded.play.visible
-    viewer._want_film(True)
+    viewer.beginning.want_film(True)
     assert viewer.stage.projector.history is not None
     assert viewer.recorded.live.visible
-    viewer._want_film(False)
+    viewer.beginning.want_film(False)
     assert viewer.stage.projector.history is None
     assert visit.take(lambda take: take.shot == viewer.start.preview)
 
@@ -277,7 +277,7 @@ def test_a_damaged_one_leaves_the_start_page_as_it_was_with_a_sentence(visit: Pa
     shutil.copytree(RECORDED, folder)
     for path in folder.glob("*/run.json"):
         path.write_text("{}")
-    visit.viewer._recordings = Recordings(folder)
+    visit.viewer.beginning.recordings = Recordings(folder)
     visit.viewer.show({}, {})
     assert "install morph-studio anew" in visit.viewer.recorded.about.content
     assert not visit.viewer.recorded.play.visible
@@ -295,7 +295,7 @@ def test_an_opened_one_is_labelled_and_starts_live_by_one_press(visit: Page) -> 
     assert visit.viewer.presented[0].doing.startswith(recording("pen_press").label)
     assert visit.viewer.recorded.live.visible
     assert not visit.viewer.run.branch.visible
-    visit.viewer._train_live(None)
+    visit.viewer.beginning.train_live(None)
     (wish,) = visit.started
     assert (wish.task, wish.method, wish.seed, wish.env_steps) == ("pen_press", "morph", 310, 500_000)
 
