@@ -173,6 +173,14 @@ def test_the_shell_page_loads_only_its_own_files(served: Served) -> None:
         assert "innerHTML" not in served.client.get(f"/page/{name}").text
 
 
+def test_a_browser_that_asks_for_a_page_that_is_not_there_is_shown_the_way(served: Served) -> None:
+    asked = served.client.get("/nowhere/at/all", headers={"accept": "text/html,*/*"})
+    assert (asked.status_code, "There is no such page" in asked.text) == (404, True)
+    for address in re.findall(r'href="([^"]+)"', asked.text):
+        assert served.client.get(address).status_code == 200, address
+    assert served.client.get("/nowhere").json() == {"detail": "Not Found"}
+
+
 def test_the_procfile_serves_with_a_token_from_the_environment() -> None:
     line = (ROOT / "Procfile").read_text()
     assert line == "web: morph-studio serve --host 0.0.0.0 --no-browser\n"
