@@ -65,7 +65,8 @@ class Forked:
 
     def said(self, name: str) -> str:
         """Return what it has said so far on "output" or "errors"."""
-        return (Path(self._said.name) / name).read_text()
+        path = Path(self._said.name) / name
+        return path.read_text() if path.exists() else ""  # not yet, where it has only just been started
 
     def send_signal(self, number: signal.Signals) -> None:
         """Send it a signal."""
