@@ -31,9 +31,8 @@ from studio.export.provenance import Provenance
 from studio.export.readings import collision_box
 from studio.export.ros import FOLDER, in_packages
 from studio.export.screen import screen
-from studio.export.stand import check_standing
 from studio.export.urdf import NO_LIMIT, urdf_names
-from studio.export.verify import load_model, verify_folder
+from studio.export.verify import verify
 from studio.export.zero import moved_zero
 from studio.robots.chooser import robot_of
 from studio.robots.geometry import moments
@@ -169,14 +168,10 @@ def prove_robot(
     """Compare MJCF, URDF and parts with the robot that phi (d,) makes."""
     robot = robot_of(task)
     model, printed = task.spec(phi).compile(), robot.printed
-    with tempfile.TemporaryDirectory() as name:
-        folder, load = Path(name), cache(load_model)  # to build a model takes long
-        unpack(files, folder)
-        checks = verify_folder(
-            folder, files, model, robot=design.robot, zero=robot.zero(phi), only_mujoco=only_mujoco, load=load
-        )
-        if robot.printed:  # what a stranger's robot does without commands is not known
-            checks += _guarded("standing", lambda: _check_standing(folder, design.robot, model, load))
+    checks = verify(
+        files, model, robot=design.robot, zero=robot.zero(phi), only_mujoco=only_mujoco,
+        stands=robot.printed,  # what a stranger's robot does without commands is not known
+    )  # fmt: skip
     for urdf in [path for path in (f"{design.robot}.urdf", *in_packages(files, design.robot)) if path in files]:
         checks += _guarded(urdf, lambda urdf=urdf: _check_urdf(urdf, files[urdf], task, phi))
     if (archive := f"{design.robot}.mjz") in files:
@@ -191,18 +186,6 @@ def prove_robot(
         checks += _guarded("plates", lambda: check_plates(files, design.parts, read))
     if "assembly.glb" in files:
         checks += _guarded("assembly.glb", lambda: _check_assembly(files["assembly.glb"], design, model, printed))
-    return checks
-
-
-def _check_standing(
-    folder: Path, robot: str, model: mujoco.MjModel, load: Callable[[Path], mujoco.MjModel]
-) -> list[Check]:
-    """Check that the robot of a `model` stands where each MJCF file of a folder begins."""
-    own = {model.body(b).name for b in range(1, model.nbody)}
-    checks: list[Check] = []
-    for file, bodies in ((f"{robot}.xml", own | {"world"}), ("scene.xml", own)):
-        if (folder / file).exists():
-            checks += check_standing(file, load(folder / file), bodies)
     return checks
 
 
