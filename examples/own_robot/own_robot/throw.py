@@ -35,13 +35,22 @@ ROBOT = """
     </body>
     {others}
   </worldbody>
+  <contact>
+    <exclude body1="world" body2="upper_arm"/>
+  </contact>
+  <actuator>
+    <position name="shoulder" joint="shoulder" kp="5000" kv="200"/>
+    <position name="elbow" joint="elbow" kp="5000" kv="200"/>
+  </actuator>
 </mujoco>
 """
+"""The robot as it is shown and exported: its servos hold it in any simulator, and its shoulder does not collide with
+the arm that turns in it."""
 OTHERS = """
-    <body name="ball">
+    <body name="ball" gravcomp="1">
       <joint name="ball_x" type="slide" axis="1 0 0"/>
       <joint name="ball_z" type="slide" axis="0 0 1"/>
-      <geom name="ball" size=".07" rgba=".84 .37 0 1"/>
+      <geom name="ball" size=".07" rgba=".84 .37 0 1" contype="0" conaffinity="0"/>
     </body>
     <geom name="table" type="plane" size="2.5 .5 .1" pos="1.5 0 0" rgba=".72 .7 .66 1"/>
     <geom name="goal" type="cylinder" pos="{x} 0 {z}" zaxis="1 0 0" size="{radius} .015" rgba=".8 .47 .65 1"/>
