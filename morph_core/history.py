@@ -199,7 +199,10 @@ class History:
         if self.status == "queued":
             return "no trainer has taken it up yet"
         if self.status == "lost":
-            return "the trainer died without a word (killed, or the machine went down); resume goes on from checkpoint"
+            return (
+                "the trainer died without a word (killed, or the machine went down); "
+                "resume goes on from its newest checkpoint"
+            )
         if self.heartbeat and self.heartbeat.message and self.status not in SAID_ENDED:
             return self.heartbeat.message
         return self.state.message if self.state else ""

@@ -12,6 +12,7 @@ from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, 
 from studio.audience import AudienceState
 from studio.credentials import KEY
 from studio.fields import Field
+from studio.filming import FilmState, FilmWish
 from studio.lines import Row, Summary
 from studio.log import LogEntry
 from studio.moments import Moment
@@ -261,7 +262,7 @@ def versioned(answer: Response, known: str | None) -> Response:
 _KINDS = (
     StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Moment, Metrics, Designs, Checked, Health,
     Refusal, AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
-    View, Seen, Bulletin, RecordedRun, AudienceState, Invite, Follow,
+    View, Seen, Bulletin, RecordedRun, AudienceState, Invite, Follow, FilmWish, FilmState,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

@@ -24,18 +24,12 @@ from studio.settings import at_home
 if TYPE_CHECKING:
     from studio.film.plan import Film
 
-SIZES = {".mp4": (1920, 1080), ".gif": (960, 540)}
-"""Size in pixels of a film that is not asked to have another one."""
-RATES = {".mp4": 30, ".gif": 20}
-"""Frames per second of a film that is not asked to have another rate."""
 HEIGHTS, FPS, JOBS = (240, 2160), (5, 60), (1, 64)
 """What is allowed: the height in pixels, frames per second, and processes."""
 ASPECTS, SIDE_BY_SIDE = (1.25, 2.4), (1.6, 2.8)
 """Smallest and largest width of a film as a multiple of its height, and of one with two scenes side by side."""
 MOST_JOBS = 8
 """Processes that are started unasked, at most: each takes up to half a gigabyte of memory."""
-STILL_SIZE, DPI = "85mm", 300
-"""A still that is not asked to be otherwise is as wide as a column of a journal, and has this many pixels per inch."""
 
 
 @dataclass(frozen=True)
@@ -120,8 +114,8 @@ def _refuse(wanted: FilmArguments, flags: Sequence[str], other: str) -> None:
 
 def _write_still(places: Sequence[tuple[History, str | None]], wanted: FilmArguments, out: Path, *, json: bool) -> int:
     from morph_core.durable import where_written, write_file
-    from studio.film.still import DPI as ALLOWED
-    from studio.film.still import Format, Still, read_size
+    from studio.film.plan import STILL_DPI, STILL_WIDTH
+    from studio.film.still import DPI, Format, Still, read_size
 
     _refuse(wanted, _OF_FILMS, "--video")
     if len(places) != 1:
@@ -131,9 +125,9 @@ def _write_still(places: Sequence[tuple[History, str | None]], wanted: FilmArgum
         raise UsageError(f'replay: a still ends in .svg or .png, not "{out.suffix[:20]}"')
     if not out.parent.is_dir():
         raise UsageError(f"replay: there is no folder {out.parent} to write into")
-    dpi = DPI if wanted.dpi is None else wanted.dpi
-    _check("--dpi", dpi, ALLOWED)
-    (history, design), form = places[0], Format(*read_size(wanted.size or STILL_SIZE), dpi, wanted.scale_bar)
+    dpi = STILL_DPI if wanted.dpi is None else wanted.dpi
+    _check("--dpi", dpi, DPI)
+    (history, design), form = places[0], Format(*read_size(wanted.size or f"{STILL_WIDTH:g}mm"), dpi, wanted.scale_bar)
     still = Still(history, design or wanted.design or "best", wanted.at, wanted.episode)
     content = still.svg(form) if ending == ".svg" else still.png(form)
     write_file(where_written(out), content)
@@ -182,7 +176,7 @@ def _write_video(places: Sequence[tuple[History, str | None]], wanted: FilmArgum
 def _film(places: Sequence[tuple[History, str | None]], wanted: FilmArguments, out: Path) -> "Film":
     """Return the film that is wanted. UsageError and FilmError say what is allowed."""
     from studio.film.errors import FilmError
-    from studio.film.plan import EVOLUTION, plan_episode, plan_evolution
+    from studio.film.plan import EVOLUTION, RATES, SIZES, plan_episode, plan_evolution
     from studio.film.reel import ENDINGS
 
     _refuse(wanted, _OF_STILLS, "--still")

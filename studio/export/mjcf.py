@@ -7,8 +7,10 @@ from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
 from studio.export.errors import ExportError
+from studio.robots.stl import stl
 
 OLD = "3.2"
 """The oldest MuJoCo whose words are known: the file below has those of 3.2.7, as its `mj_printSchema` gives them."""
@@ -17,6 +19,7 @@ _ONE_NUMBER = frozenset(f"{kind}/{name}" for kind in ("joint", "fixed", "spatial
 _KEYWORDS = {"mesh/inertia": frozenset(("convex", "exact", "legacy"))}
 """Attributes, behind their elements, of which MuJoCo 3.2 takes one number, or fewer keywords than newer versions."""
 _BODIES = ("worldbody", "body", "frame", "replicate")
+_STAND_IN = stl(np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]), "stand-in")
 
 
 def write_mjcf(
@@ -37,7 +40,8 @@ def write_mjcf(
             mesh.file = path
     spec.meshdir = ""
     try:
-        spec.assets = {**shared, **own}
+        # What is written is the meshes' names: to compile them all would take long, and the proof reads them.
+        spec.assets = {**dict.fromkeys(shared, _STAND_IN), **own}
         spec.compile()
         return {name: in_old_words(spec.to_xml()), **own}
     except (ValueError, mujoco.FatalError) as error:

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import secrets
-import shlex
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,8 +16,8 @@ import msgspec
 from morph_core import durable, inside
 from morph_core.history import History
 from morph_core.run_folder import LAUNCH, SMALL_BYTES, RunFolder
-from studio.study.launcher import Launcher, Place
-from studio.study.local import CANCELLED, launcher_of
+from studio.study.launcher import Launcher, Place, check_hands, launcher_of
+from studio.study.local import CANCELLED
 from studio.study.slurm_options import SlurmOptions
 from studio.study.slurm_queue import FORGOTTEN, TASK, Queue, SlurmError, call
 from studio.study.standing import stopped_by_user
@@ -64,16 +63,11 @@ class Slurm(Launcher):
         call("sbatch", "--test-only", *(self._options or SlurmOptions()).words(), "--wrap=true")
 
     def submit(self, directory: Path, runs: Sequence[str]) -> None:
-        """Queue those runs that are left and have no task that Slurm knows: all of them, or none with SlurmError.
+        """Queue those runs that are left and have no task that Slurm knows: all of them, or none with ValueError.
 
         More than 1,000 are split; each part waits for the one before, so that `parallel` caps all of them.
         """
-        for run in runs:
-            if (launcher := launcher_of(directory / run)) not in ("", self.name):
-                raise SlurmError(
-                    f"{run} is in the hands of the launcher {launcher}: go on with --launcher {launcher}, or cancel "
-                    f"it first: morph-studio study --cancel {shlex.quote(str(directory))}"
-                )
+        check_hands(directory, runs, self.name)
         places = self._fresh_states(directory, runs)
         new = [run for run in runs if run not in places or places[run] == FORGOTTEN]
         self._submit(directory, [folder for folder in _folders(directory, new) if _is_left(folder)])

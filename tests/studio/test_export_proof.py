@@ -5,6 +5,7 @@ import importlib.util
 import io
 import itertools
 import json
+import multiprocessing
 import os
 import re
 import subprocess
@@ -26,6 +27,7 @@ from safetensors.numpy import save_file
 from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
 from morph_core.task import Task
+from studio.export import trial
 from studio.export.archive import unzipped, zipped
 from studio.export.bundle import EPISODES, FORMATS, Bundle, build_bundle, parts_of_design, robot_files
 from studio.export.design_file import Design, PartEntry, load_design, phi_for, read_design, starting_from
@@ -43,6 +45,7 @@ from studio.robots.chooser import robot_of
 from studio.robots.parts import Part
 from studio.robots.stl import stl
 from tests.counts import DESIGNS
+from tests.forked import morph_studio
 
 NAME = "<b>run \N{SNOWMAN} .." + "x" * 120
 
@@ -290,11 +293,15 @@ def test_a_bundle_says_which_servo_can_do_what_the_policy_needs(bundle: Bundle) 
     assert f"Servos:  {table.servo} suffices for " in bundle.files["README.txt"].decode()
 
 
-def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for(
+def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for_by_whatever_process_runs_the_episodes(
     history: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("studio.export.bundle.EPISODES", 3)
     weak = build_bundle(history, "best", ["mjcf"], servo="mg90s")
+    monkeypatch.setattr("studio.export.trial.APART", 3)
+    apart = build_bundle(history, "best", ["mjcf"], servo="mg90s")
+    assert {path for path in weak.files if apart.files[path] != weak.files[path]} <= {"provenance.json"}  # its date
+    assert apart.checks == weak.checks
     table = servos_of(weak)
     assert (table.servo, table.episodes, table.suffices) == ("MG90S", 3, False)
     assert "does not suffice: peak torque" in weak.files["report.html"].decode()
@@ -302,6 +309,14 @@ def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for(
         build_bundle(history, "best", ["urdf"], servo="MG90S")
     with pytest.raises(ExportError, match="did you mean MG90S"):
         build_bundle(history, "best", ["mjcf"], servo="MG90")
+
+
+def test_a_process_that_dies_over_the_episodes_is_a_failed_check() -> None:
+    end, other = multiprocessing.Pipe(duplex=False)
+    other.close()
+    [check] = trial.awaited(end).checks
+    assert not check.passed
+    assert "its process ended without a word" in str(check)
 
 
 def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundle) -> None:
@@ -463,7 +478,7 @@ BREAKS = {
         ("3mf/palm.3mf", with_a_second_object, "3mf/palm.3mf: quantity"),
         ("parts/finger_1_distal.stl", doubled, "one body"),
         ("hand.xml", replaced('size="0.015 ', 'size="0.016 '), "hand.xml in MuJoCo: collision extents"),
-        ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.016"'), "MuJoCo: collision extents"),
+        ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.0149"'), "MuJoCo: collision extents"),
         ("policy.py", lambda content: content + b"#", "policy.py: the program"),
     ],
     "a third of some": [
@@ -505,8 +520,7 @@ def test_verify_prints_a_table_and_fails_for_a_part_broken_on_purpose(bundle: Bu
     bad.write_bytes(zipped({**bundle.files, "parts/palm.stl": holed(bundle.files["parts/palm.stl"])}))
     shown = {}
     for path, code in ((good, 0), (bad, 1), (tmp_path / "none.zip", 2)):
-        command = [sys.executable, "-m", "studio.cli", "verify", str(path), "--episodes", "2"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, env={"COLUMNS": "140", "PATH": ""})
+        done = morph_studio("verify", str(path), "--episodes", "2", environment={"COLUMNS": "140", "PATH": ""})
         assert done.returncode == code, done.stdout + done.stderr
         shown[code] = done.stdout
     assert "checks agree" in shown[0]

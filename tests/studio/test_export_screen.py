@@ -28,7 +28,9 @@ from studio.export.check import Check
 from studio.export.design_file import Design, Value, read_design
 from studio.export.errors import ExportError
 from studio.export.proof import _prove_scene, prove
+from studio.export.readings import read_mjcf, read_urdf
 from studio.export.screen import screen
+from studio.export.verify import POSITION_ALLOWED, compare
 from studio.robots.chooser import robot_of
 
 TASK = make_task("reacher")
@@ -99,6 +101,37 @@ def test_a_scene_in_which_something_that_moves_or_touches_differs_is_told(
     phi = np.array([p.initial for p in TASK.design_space.parameters])
     with contextlib.suppress(ValueError):  # MuJoCo's: it can't be built
         assert not _prove_scene({**bundle, "scene.xml": ElementTree.tostring(root)}, TASK, phi).passed
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_a_shape_that_differs_is_told_where_others_of_its_link_hide_it(
+    bundle: dict[str, bytes], data: st.DataObject
+) -> None:
+    root = ElementTree.fromstring(bundle[f"{ROBOT}.urdf"])
+    shapes = list(root.iter("collision"))
+    assert _farthest_shape(bundle, root) < 1e-9
+    shape = data.draw(st.sampled_from(shapes))
+    size = shape.find("geometry/*")
+    origin = shape.find("origin")
+    assert size is not None
+    assert origin is not None
+    numbers = [(size, name, 0) for name in size.attrib] + [(origin, "xyz", i) for i in range(3)]
+    if size.tag != "sphere":
+        numbers += [(origin, "rpy", i) for i in range(2)]  # a cylinder that is turned about itself is the same
+    element, name, i = data.draw(st.sampled_from(numbers))
+    words = element.attrib[name].split()
+    words[i] = repr(float(words[i]) * data.draw(st.floats(0.1, 0.9)) + 0.001)
+    element.attrib[name] = " ".join(words)
+    assert _farthest_shape(bundle, root) > POSITION_ALLOWED
+
+
+def _farthest_shape(bundle: Mapping[str, bytes], root: ElementTree.Element) -> float:
+    """Return how far (m) the collision shapes of a URDF are from those of the bundle's MJCF."""
+    reference = read_mjcf(mujoco.MjModel.from_xml_string(bundle[XML].decode()))
+    reading = read_urdf(mujoco.MjModel.from_xml_string(ElementTree.tostring(root, "unicode")))
+    (check,) = (c for c in compare("it", reference, reading) if "collision extents" in c.name)
+    return check.worst
 
 
 @pytest.mark.parametrize(
@@ -173,7 +206,7 @@ def test_no_reader_sees_what_asks_for_more_than_a_bundle_needs(
 
     if "bomb" in ask:
         monkeypatch.setattr("studio.export.screen.MAX_BYTES", 8 << 20)
-    for reader in ("verify", "compare_physics", "_prove_physics"):
+    for reader in ("verify_folder", "compare_physics", "_prove_physics"):
         monkeypatch.setattr(f"studio.export.proof.{reader}", never)
     found = faults(bundle | {path: changed})
     assert found
