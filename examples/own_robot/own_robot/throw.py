@@ -21,6 +21,7 @@ BALL_RADIUS = 0.07  # m
 
 ROBOT = """
 <mujoco model="own_throw">
+  <option integrator="implicitfast"/>
   <worldbody>
     <geom name="post" type="cylinder" fromto="0 .12 0 0 .12 1.2" size=".045" rgba=".35 .37 .42 1"/>
     <geom name="shoulder" type="cylinder" fromto="0 .12 1.2 0 0 1.2" size=".045" rgba=".35 .37 .42 1"/>
@@ -39,8 +40,8 @@ ROBOT = """
     <exclude body1="world" body2="upper_arm"/>
   </contact>
   <actuator>
-    <position name="shoulder" joint="shoulder" kp="5000" kv="200"/>
-    <position name="elbow" joint="elbow" kp="5000" kv="200"/>
+    <position name="shoulder" joint="shoulder" kp="20000" kv="400"/>
+    <position name="elbow" joint="elbow" kp="20000" kv="400"/>
   </actuator>
 </mujoco>
 """
