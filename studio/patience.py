@@ -1,5 +1,4 @@
-"""How long the server waits for a stranger, for how many of them, and how much it reads of what they send: uvicorn's
-protocol with an end to each."""
+"""How long the server waits for a stranger, for how many, and how much of one it reads: uvicorn's with an end to each."""
 
 import asyncio
 import logging

@@ -2,7 +2,7 @@
 
 import contextlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import anyio.to_thread
@@ -66,7 +66,7 @@ _DESIGN_BODY = {
         "content": {"application/json": {"schema": {"type": "object"}}, "application/zip": _FILE},
     }
 }
-Export = Callable[[History, str, list[str] | None, list[float] | None, str | None, str | None], Bundle]
+Export = Callable[[History, str, Sequence[str] | None, list[float] | None, str | None, str | None], Bundle]
 """Function that builds an export of a run: export(history, which design, formats or None for all, another phi, a servo
 or None, a printer or None)."""
 

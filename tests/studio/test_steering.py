@@ -64,7 +64,7 @@ def test_a_run_that_can_not_go_on_takes_other_edits_and_says_when_they_hold(
         assert ("obeyed when the run is resumed" in note.content) == takes
         assert ("branch from it" in note.content) != takes
     steer.alpha.value = 2.0
-    page.viewer._send(steer.commands, None)
+    page.viewer.wishes.send(steer.commands, None)
     page.show(folder, status)
     assert ("waits: obeyed once the run is resumed" in page.viewer.run.log.content) == takes
 
