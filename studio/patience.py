@@ -1,4 +1,4 @@
-"""How long the server waits for a stranger, for how many, and how much of one it reads: uvicorn's with an end to each."""
+"""How long the server waits for a stranger, for how many, and how much of one it reads: an end to each."""
 
 import asyncio
 import logging
