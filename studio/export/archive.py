@@ -18,6 +18,8 @@ MAX_FILES, MAX_BYTES = 2000, 256 << 20
 
 _ENTRY = b"PK\x01\x02"
 """What every entry of a zip's table of contents begins with."""
+LONGEST_PATH = 255
+"""Largest number of characters in the path of a file of an archive: every folder on the way there is looked at."""
 MOST_ENTRIES = 10 * MAX_FILES
 """Largest number of such entries in a file, in the archives inside it too: the table is read as a whole."""
 
@@ -98,6 +100,8 @@ def unpack(files: Mapping[str, bytes], folder: Path) -> None:
 
 def check_path(name: str) -> None:
     """Raise ExportError unless `name` is a plain relative path."""
+    if len(name) > LONGEST_PATH:
+        raise ExportError(f"it holds a file whose path has {len(name):,} characters: at most {LONGEST_PATH} are read")
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name or "\0" in name or not path.parts:
         raise ExportError(f"it holds a file with the path {name[:60]!r}: only plain relative paths are read")

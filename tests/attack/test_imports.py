@@ -57,6 +57,17 @@ def test_a_file_that_holds_more_than_it_says_is_not_unpacked_beyond_that() -> No
         tracemalloc.stop()
 
 
+def test_a_path_of_any_length_takes_no_memory() -> None:
+    deep = archive(zipfile.ZIP_STORED, {FILE: b"{}", "a/" * 30_000 + "b": b""})
+    tracemalloc.start()
+    try:
+        with pytest.raises(ExportError, match="path has 60,001 characters"):
+            read_design(deep)
+        assert tracemalloc.get_traced_memory()[1] < 4 << 20
+    finally:
+        tracemalloc.stop()
+
+
 def test_a_table_of_contents_without_end_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zipfile, "ZipFile", lambda *_: pytest.fail("opened"))
     with pytest.raises(ExportError, match="more than 20000 files"):
