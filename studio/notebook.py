@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from morph_core.curves import Curves
-from morph_core.durable import write_file
+from morph_core.durable import where_written, write_file
 from morph_core.history import History
 from morph_core.hypertext import table
 from morph_core.protocol import Stop
@@ -118,7 +118,7 @@ class Design:
     def view(self, height: int = 720, file: str | Path | None = None) -> "View":
         """Return the design live, as `morph-studio show` writes it; a still one where nothing of it can run live.
 
-        A live page has 6 MB, which the notebook holds: with `file`, a path below the notebook's folder, it holds that
+        A live page has 5 MB, which the notebook holds: with `file`, a path below the notebook's folder, it holds that
         link alone.
         """
         try:
@@ -219,7 +219,7 @@ def _framed(title: str, page: bytes, height: int, file: str | Path | None) -> Vi
     """Return a page of ours in an iframe, whose scripts can reach nothing of the notebook's."""
     source = f'srcdoc="{escape(page.decode())}"' if file is None else f'src="{escape(Path(file).as_posix())}"'
     if file is not None:
-        write_file(at_home(file), page)
+        write_file(where_written(at_home(file)), page)
     look = f"width:100%;height:{height}px;border:1px solid #8a929c"
     return View(f'<iframe title="{title}" sandbox="allow-scripts" style="{look}" {source}></iframe>')
 

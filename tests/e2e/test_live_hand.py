@@ -140,7 +140,7 @@ def test_a_person_watches_steers_and_compares(
     opened(pages["pen_press"][0])
     page.evaluate("show.ready.then((s) => s.tryAnew({ position: [0, 0], turn: 0 }))")  # others may fail
     label = page.locator("#label-0")
-    expect(label.locator(".tally")).to_contain_text("1 of 1 tries (100 %)", timeout=60_000)
+    expect(label.locator(".tally")).to_contain_text("1 of 1 tries (100 %)")
     page.keyboard.press(" ")
     expect(page.locator("#run")).to_contain_text("Start")
     before = page.evaluate("show.ready.then((s) => s.simulated)")
@@ -153,11 +153,11 @@ def test_a_person_watches_steers_and_compares(
     page.get_by_label("Beside the initial design").check()
     expect(page.locator("#label-1")).to_contain_text("Initial")
     page.get_by_role("button", name="Push").click()
-    moved = """show.ready.then((s) => s.shown.map(
-        ({ world: { disturbed, data } }) => disturbed && data.qvel.slice(9, 11).some((v) => Math.abs(v) > 0.01)
-    ))"""
-    page.wait_for_timeout(1500)
-    assert page.evaluate(moved) == [True, True]
+    page.wait_for_function(
+        """show.ready.then((s) => s.shown.length === 2 && s.shown.every(
+            ({ world: { disturbed, data } }) => disturbed && data.qvel.slice(9, 11).some((v) => Math.abs(v) > 0.01)
+        ))"""
+    )
 
 
 def test_a_dragged_object_follows_the_pointer(

@@ -5,6 +5,7 @@ import gzip
 import hashlib
 import json
 import re
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -265,6 +266,9 @@ def test_episodes_beyond_the_budget_are_left_out_and_the_page_says_so(
     assert 3 <= len(kept) < 7
     assert {3, 20, 35} <= set(kept)
     assert f"Of 7 recorded episodes the page holds {len(kept)}" in page.missing
+    other = RunFolder(Path(shutil.copytree(folder.path, tmp_path / "other")))
+    both = carried(build_evolution([History(folder), History(other)]))["runs"]
+    assert all(len(one["episodes"]) < len(kept) for one in both), "two runs share the room"
 
 
 def test_a_mesh_beyond_the_limit_is_a_box(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

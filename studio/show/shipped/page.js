@@ -43,7 +43,8 @@ function say(sentence) {
 
 function connectPage() {
   const root = document.documentElement, dark = matchMedia("(prefers-color-scheme: dark)");
-  root.dataset.theme = dark.matches ? "dark" : "light";
+  const wanted = location.hash.slice(1); // a page round this one may have another theme than the reader's system
+  root.dataset.theme = wanted === "dark" || (wanted !== "light" && dark.matches) ? "dark" : "light";
   $("theme").addEventListener("click", () => { root.dataset.theme = root.dataset.theme === "dark" ? "light" : "dark"; });
   $("licences").addEventListener("toggle", async () => {
     if ($("licences").open) $("licence-text").textContent ||= await unpackedText("licences-packed");
