@@ -408,6 +408,7 @@ def test_the_page_of_a_run_is_written_once_for_all(tmp_path: Path, monkeypatch: 
         monkeypatch.setattr(evolutions_module, "REST", 0.0)
         monkeypatch.setattr(evolutions_module, "SHARE", math.inf)
         assert await pages.page("a run") == b"iteration 4"
+        await pages.page("a run")  # it has not gone on
         for i in range(evolutions_module.KEPT):
             await pages.page(f"another run {i}")
         await pages.page("a run")
