@@ -1,6 +1,7 @@
 """The web application: one FastAPI around the runs, the viewer and the shell page; and the server that runs it."""
 
 import contextlib
+import html
 import logging
 import secrets
 import socket
@@ -16,9 +17,11 @@ import msgspec
 import uvicorn
 import viser
 from fastapi import FastAPI, Request, Response
+from fastapi.exception_handlers import http_exception_handler
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import FileResponse, JSONResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
+from starlette.exceptions import HTTPException
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import ASGIApp
 
@@ -307,6 +310,16 @@ def _add_refusals(app: FastAPI) -> None:
         reasons = [f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors()]
         return JSONResponse({"detail": "; ".join(reasons)}, 422)
 
+    page = (files("studio") / "page" / "missing.html").read_text()
+
+    async def refuse_path(request: Request, error: Exception) -> Response:
+        """Answer a browser that asks for a page that there is not by a page, and everybody else as FastAPI does."""
+        assert isinstance(error, HTTPException)
+        if error.status_code != 404 or "text/html" not in request.headers.get("accept", ""):
+            return await http_exception_handler(request, error)
+        return HTMLResponse(page.replace("{root}", html.escape(request.scope.get("root_path", ""))), 404)
+
+    app.add_exception_handler(HTTPException, refuse_path)
     app.add_exception_handler(RunFolderError, refuse(404))
     app.add_exception_handler(ValueError, refuse(422))
     app.add_exception_handler(RequestValidationError, refuse_parameters)

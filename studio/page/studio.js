@@ -170,6 +170,7 @@ const READABLE = `:root[data-mantine-color-scheme="light"] {
 :root[data-mantine-color-scheme="dark"] {
   --mantine-color-dimmed: #a9b1ba !important; --mantine-primary-color-filled: #5ba3ea !important;
 }
+.mantine-Notification-description { color: var(--mantine-color-text) !important; }
 :root[data-mantine-color-scheme="dark"] .mantine-Button-root:not([style*="--button-bg"]) { background: #2467ad !important; }`;
 
 viewer.addEventListener("load", () => {
@@ -199,10 +200,10 @@ function duration(seconds) {
 
 function describe(run) {
   const parts = [];
-  if (run.stage) parts.push(run.stage);
   if (run.iterations) parts.push(`iteration ${run.iteration} of ${run.iterations}`);
   if (run.eta_seconds !== null && run.status === "running") parts.push(`${duration(run.eta_seconds)} left`);
   if (run.success !== null) parts.push(`success ${percent(run.success)}`);
+  if (run.stage && run.stage !== run.status) parts.push(run.stage); // the last one is what a narrow page cuts off
   return parts.join("  ·  ");
 }
 

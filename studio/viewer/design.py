@@ -92,7 +92,9 @@ class DesignPanel:
 def _tell(group: Group, present: Sequence[tuple[Parameter, float, float]]) -> None:
     """Say what the parameters of a part are at present, and were at first: in the folder's label, and where they are
     several, at length inside of it."""
-    at_length = [f"{p.name}: {_in_words(p, now)}{_lock(p)} (initially {_number(first)})" for p, now, first in present]
+    at_length = [
+        f"{p.name}: {_in_words(p, now)}{_lock(p)} (initially {_in_words(p, first)})" for p, now, first in present
+    ]
     if len(present) == 1:
         group.folder.label = at_length[0]
         return
@@ -107,10 +109,8 @@ def _lock(p: Parameter) -> str:
 
 
 def _in_words(p: Parameter, value: float) -> str:
-    """Return a value in words, such as "2.000 m" or "0.052 rad, 3.0°"."""
-    words = f"{_number(value)} {p.unit}".rstrip()
-    return f"{words}, {unit_of(p).words(value)}" if p.unit == "rad" else words
-
-
-def _number(value: float) -> str:
-    return f"{round(value, 3) + 0.0:.3f}".replace("-", "−")
+    """Return a value in words, such as "2.000 m" or "3.0°": as finely as its inputs take it."""
+    unit = unit_of(p)
+    if unit.factor != 1:
+        return unit.words(value)
+    return f"{round(value, 3) + 0.0:.3f} {p.unit}".rstrip().replace("-", "−")

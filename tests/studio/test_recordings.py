@@ -51,6 +51,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
 
 def test_there_is_one_of_each_task_and_all_are_small_and_in_the_wheel() -> None:
     assert SHIPPED.names() == [f"recorded-{task}" for task in TASKS]
+    assert SHIPPED.of("a_task_of_ones_own") is None
     files = [path for path in RECORDED.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) <= LARGEST
     shipped = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["studio"]
@@ -166,6 +167,14 @@ def test_a_damaged_one_is_refused_by_one_sentence(tmp_path: Path, damage: str, h
     folder = shutil.copytree(RECORDED / "recorded-mouse_click", tmp_path / "recorded-mouse_click")
     how(folder / damage)
     with pytest.raises(RunFolderError, match=r"recorded-mouse_click .*; install morph-studio anew to see it"):
+        Recordings(tmp_path).of("mouse_click")
+
+
+def test_one_that_nothing_was_measured_of_is_refused(tmp_path: Path) -> None:
+    folder = shutil.copytree(RECORDED / "recorded-mouse_click", tmp_path / "recorded-mouse_click")
+    about = json.loads((folder / ABOUT).read_bytes())
+    (folder / ABOUT).write_text(json.dumps(about | {"episodes": 0}))
+    with pytest.raises(RunFolderError, match="is empty; install morph-studio anew"):
         Recordings(tmp_path).of("mouse_click")
 
 
