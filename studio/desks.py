@@ -99,7 +99,9 @@ class Desks:
         """Let the browser of this key show something, now or as soon as it comes."""
         self._keep(key, view)
         for desk, viewer in self._seated():
-            if desk.key == key:
+            if desk.key == key and desk.begin is not None:
+                desk.begin = view  # else what it was to begin with would come after this
+            elif desk.key == key:
                 viewer.put_back(view)
 
     def presenting(self, key: str | None) -> Presenting | None:
