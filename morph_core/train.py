@@ -24,7 +24,7 @@ import torch
 from morph_core import protocol
 from morph_core.beginning import begin
 from morph_core.catalogue import make_task, read_method
-from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
+from morph_core.checkpoint import damage_of, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.edits import AnyEdit, edited
 from morph_core.episodes import Score, evaluate, outcomes, record_episodes
 from morph_core.history import History, InForce, merit
@@ -97,6 +97,7 @@ class Trainer:
         self._budget = None if (further or until) is not None else self._record.env_steps
         self._longest_iteration = 1  # environment steps
         self._method: Method | None = None
+        self._state: State | None = None
         self._is_searching, self._collected_in = True, 0.0
         self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
@@ -118,7 +119,7 @@ class Trainer:
         method.check(task)
         self._longest_iteration = method.trajectories * task.horizon
         state = self._load(task, method)
-        self._method = method
+        self._method, self._state = method, state
         if not self._is_done(state):
             self._enter("running", "fitting the proxy" if state.proxy and not state.fitted else _LEARNING)
             self._between_iterations(state)
@@ -126,6 +127,7 @@ class Trainer:
             method.prepare(task, state)  # no part of an iteration: what others take is not known from it
             self._set("running", _LEARNING)
             began, steps = time.monotonic(), state.env_steps
+            _refuse_damage(state)
             for progress in method.iterations(task, state):
                 searching = state.searched_in if progress.search_cost is not None else None
                 self._pace.took(time.monotonic() - began, state.env_steps - steps, searching)
@@ -133,6 +135,7 @@ class Trainer:
                 self._between_iterations(state)
                 if self._stopping or self._is_done(state):
                     break
+                _refuse_damage(state)
                 began, steps = time.monotonic(), state.env_steps
         if self._is_done(state):
             if self._record.final_episodes:
@@ -146,6 +149,21 @@ class Trainer:
     def stop(self) -> None:
         """End after the present iteration, with a checkpoint."""
         self._stopping = True
+
+    def reason(self, error: Exception) -> str:
+        """Return in words why the run ends: what has become NaN or infinite, where it did, not what that led to."""
+        unsound = isinstance(error, FloatingPointError)
+        words = str(error) if unsound else f"{type(error).__name__}: {error}".removesuffix(": ")
+        damage = damage_of(self._state) if self._state and not isinstance(error, OSError | MemoryError) else ""
+        if damage and damage != words:
+            words = f"{damage} ({words})"
+        return f"{words}, in {self._where}" if damage or unsound else words
+
+    @property
+    def _where(self) -> str:
+        if self._stage.startswith("evaluating"):
+            return f"the evaluation after iteration {self._iteration}"
+        return f"iteration {self._iteration + 1}"
 
     def fail(self, reason: str) -> None:
         """Say why the run ends; where not even that can be written, the heartbeat still says it."""
@@ -292,8 +310,9 @@ class Trainer:
 
     def _take_in(self, task: Task, method: Method, state: State, progress: Progress) -> None:
         """Record an iteration; evaluate and save where it is due."""
-        if not all_finite(state) or not np.isfinite(progress.episode_return):
-            raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
+        _refuse_damage(state)
+        if not np.isfinite(progress.episode_return):
+            raise FloatingPointError("the mean return became infinite or NaN")
         self._iteration, self._env_steps = state.iteration, state.env_steps
         self._is_searching, self._collected_in = not state.frozen, state.collected_in
         progress = msgspec.structs.replace(
@@ -459,6 +478,12 @@ class Trainer:
                 return result
 
 
+def _refuse_damage(state: State) -> None:
+    """Raise FloatingPointError that names what no iteration can begin with."""
+    if damage := damage_of(state):
+        raise FloatingPointError(damage)
+
+
 def apply_edit(command: AnyEdit, state: State, task: Task) -> str:
     """Put a command in force and return the sentence that says so; raise ValueError, the state unchanged, if it is not
     allowed."""
@@ -491,7 +516,7 @@ def train(folder: RunFolder, further: int | None = None, until: int | None = Non
             return 1
         except Exception as error:
             traceback.print_exc()
-            reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+            reason = trainer.reason(error)
             with contextlib.suppress(OSError, RunFolderError):  # then the run fails without it
                 reason += trainer.take_back(error)
             trainer.fail(reason)

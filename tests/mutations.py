@@ -814,6 +814,26 @@ MUTANTS: tuple[Mutant, ...] = (
         ("return min(max(value, lo), hi)", "return value"),
     ),
     *_of(
+        f"{CORE}/soundness.py", "core/test_soundness.py",
+        ("& alive.reshape", "| alive.reshape"),
+        ("min(found, key=lambda entry: entry[0])", "found[-1]"),
+    ),
+    *_of(
+        f"{CORE}/run_folder.py", "attack/test_disk.py",
+        ('if facts.pop("sha256", None) not in (None, _sum_of(facts)):', 'if facts.pop("sha256", None) is False:'),
+        ('facts.pop("weights_sha256", None) not in', 'facts.pop("weights_sha256", None) is False not in'),
+    ),
+    *_of(
+        "studio/turns.py", "studio/test_turns.py",
+        ("if self._there >= self._most:", "if False:"),
+        ("self._there -= 1", "pass"),
+    ),
+    *_of(
+        "studio/patience.py", "attack/test_strangers.py",
+        ("if self._read > most and", "if False and"),
+        ('return "answer", self.cycle, unsent', "return None"),
+    ),
+    *_of(
         f"{CORE}/undo.py", "core/test_undo.py",
         ("e.iteration == last", "e.iteration < last"),
         ("state.alpha, state.projection = before.alpha, before.projection", "pass"),
