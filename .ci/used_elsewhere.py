@@ -9,6 +9,7 @@ _.disableflags
 _.explicitinertial
 _.forcelimited
 _.forcerange
+_.fromto
 _.fullinertia
 _.intprm
 _.ipos
@@ -110,6 +111,9 @@ _.up_direction
 # viser asks a message for these.
 _.entity_state_key
 _.redundancy_key
+
+# rich calls it.
+_.on_broken_pipe
 
 # ONNX Runtime reads what is set on its options.
 _.intra_op_num_threads
