@@ -64,8 +64,9 @@ _.writing
 _.account
 _.constraint
 
-# Asked for by name: the websocket by the server, the environments by Gymnasium and by other libraries.
+# Asked for by name: the websocket by the server, what becomes of a broken pipe by rich, the environments by Gymnasium and by other libraries.
 _.bridge
+_.on_broken_pipe
 _.TaskEnv
 _.TaskVectorEnv
 _.np_random_seed
@@ -74,6 +75,7 @@ _.render
 
 # Tests look through them.
 _.charts
+_.verify
 
 # Classes that the catalogue finds in their folder, by name.
 _.CmaesRl
