@@ -881,7 +881,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/export/trial.py", "studio/test_export_proof.py",
-        ("Outcome(None, [_failed(told)], None)", "Outcome(None, [], None)"),
+        ('return Outcome(None, [Check("policy", math.inf,', 'return Outcome(None, [Check("policy", 0.0,'),
     ),
     # --- what a browser may say ---
     *_of(
