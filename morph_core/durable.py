@@ -6,6 +6,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,8 +17,15 @@ _NAME = 40
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file; an earlier one stays until the new one is whole."""
+    """Write a file; an earlier one stays until the new one is whole. A link there is replaced, not followed.
+
+    FileExistsError where anything else is there, such as a folder, a device or a pipe.
+    """
     draft = _beside(path, "draft")
+    with contextlib.suppress(FileNotFoundError):
+        mode = path.lstat().st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISLNK(mode):
+            raise FileExistsError(errno.EEXIST, "something is there that is no plain file", str(path))
     try:
         with draft.open("xb") as file:
             file.write(content)
@@ -27,6 +35,11 @@ def write_file(path: Path, content: bytes) -> None:
     except BaseException:
         draft.unlink(missing_ok=True)
         raise
+
+
+def where_written(path: Path) -> Path:
+    """Return where a file that a person has named is to be written: a link of theirs is followed."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 @contextlib.contextmanager

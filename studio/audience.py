@@ -366,7 +366,7 @@ class Audience:
         history: History | None = None
         if presenting is not None:
             self._seen, history = await anyio.to_thread.run_sync(lambda: presenting.viewer.presented)
-        if history is not None:
+        if history is not None and self._invitation.ticket:  # the link may have been ended meanwhile
             run = history.folder.id
             self._offered = (run, *(other for other in self._offered if other != run))[:MOST_OFFERED]
         stage = msgspec.json.encode(

@@ -46,7 +46,7 @@ class FilmWish(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     beside_design: Design | None = None
     """Design of the run on the right, where episodes are filmed."""
     episode: Which | None = None
-    """Which of the recorded episodes is seen, by default the median one."""
+    """Word for the recorded episode that is seen, by default median."""
     at: Annotated[float, msgspec.Meta(ge=0, le=3600)] | None = None
     """Moment of the episode that a still shows, in seconds; without it, the design in its start posture."""
     height: Literal[360, 540, 720, 1080] | None = None

@@ -31,6 +31,7 @@ def _run(module: str, words: Sequence[str], heard: str, into: Path, cwd: Path, e
     sys.stdin = io.StringIO(heard)
     for descriptor, name in ((1, "output"), (2, "errors")):
         os.dup2(os.open(into / name, os.O_WRONLY | os.O_CREAT), descriptor)
+    sys.stdout.reconfigure(line_buffering=True)  # pyright: ignore[reportAttributeAccessIssue]
     sys.argv = [module, *words]
     sys.exit(importlib.import_module(module).main())
 
@@ -64,7 +65,8 @@ class Forked:
 
     def said(self, name: str) -> str:
         """Return what it has said so far on "output" or "errors"."""
-        return (Path(self._said.name) / name).read_text()
+        path = Path(self._said.name) / name
+        return path.read_text() if path.exists() else ""  # not yet, where it has only just been started
 
     def send_signal(self, number: signal.Signals) -> None:
         """Send it a signal."""
@@ -74,6 +76,16 @@ class Forked:
 def trainer(folder: RunFolder, *words: str) -> Forked:
     """Start the trainer of a run folder."""
     return Forked("morph_core.train", "--run", str(folder.path), *words)
+
+
+def python(program: str, environment: Mapping[str, str] | None = None) -> Forked:
+    """Start a program in Python."""
+    return Forked("tests.forked", heard=program, environment=environment)
+
+
+def main() -> None:
+    """Run the program on standard input."""
+    exec(sys.stdin.read(), {"__name__": "__main__"})
 
 
 def morph_studio(

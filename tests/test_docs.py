@@ -2,14 +2,17 @@
 
 import re
 import shlex
+import signal
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from studio.cli import run
+from tests import forked
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -79,15 +82,13 @@ def test_the_docs_show_the_example_as_it_is() -> None:
 
 
 def test_the_example_prints_a_line_per_iteration() -> None:
-    process = subprocess.Popen([sys.executable, str(EXAMPLE)], stdout=subprocess.PIPE, text=True, cwd=ROOT)
-    assert process.stdout is not None
-    try:
-        first = process.stdout.readline()
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
-    assert re.fullmatch(r" +1  success \d\.\d\d  links( \d\.\d\d){5} m\n", first)
+    example = forked.python(EXAMPLE.read_text())
+    deadline = time.monotonic() + 200
+    while not (first := example.said("output").partition("\n")[0]) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    example.send_signal(signal.SIGKILL)
+    assert example.wait() == -signal.SIGKILL, example.said("errors")
+    assert re.fullmatch(r" +1  success \d\.\d\d  links( \d\.\d\d){5} m", first)
 
 
 def test_what_the_docs_show_of_gymnasium_runs() -> None:

@@ -362,6 +362,10 @@ class GraspTask(Settings, Task):
             add_contact_sensor(spec, mujoco.mjtObj.mjOBJ_XBODY, f"finger_{i}_proximal", "object")
         return spec
 
+    def set_design(self, scene: mujoco.MjSpec, phi: np.ndarray) -> None:
+        """Give the hand in a scene the design phi (d,)."""
+        self.hand.set_design(scene, phi)
+
     def qpos(self, s: np.ndarray) -> np.ndarray:
         return s[:, : self._nq]
 

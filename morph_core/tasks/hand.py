@@ -145,21 +145,32 @@ class Hand:
         )  # fmt: skip
         disc.contype, disc.conaffinity = PALM_CONTACT
         _add_servo(spec, "palm", PALM_RANGE, PALM_KP, PALM_KV, PALM_FORCE)
-        angles, lengths = self.base_angles + phi[: self.fingers], phi[self.fingers :]
-        set_inertial(palm, palm_inertial(angles, self.servo))
         for i in range(self.fingers):
-            self._add_finger(spec, palm, i, float(angles[i]), float(lengths[i]))
+            self._add_finger(spec, palm, i)
+        self.set_design(spec, phi)
         spec.add_key(name="start", qpos=self.start(phi), ctrl=self.start(phi))
         return spec
 
-    def _add_finger(self, spec: mujoco.MjSpec, palm: mujoco.MjsBody, i: int, angle: float, length: float) -> None:
-        """Add a finger whose x points outward; it hangs down where its joints are at 0."""
-        name, colour = f"finger_{i + 1}", palette.PARTS[i % len(palette.PARTS)]
-        proximal = palm.add_body(
-            name=f"{name}_proximal", pos=[PALM_RADIUS * np.cos(angle), PALM_RADIUS * np.sin(angle), 0],
-            quat=[np.cos(angle / 2), 0, 0, np.sin(angle / 2)], gravcomp=1,
-        )  # fmt: skip
-        distal = proximal.add_body(name=f"{name}_distal", pos=[0, 0, -length], gravcomp=1)
+    def set_design(self, spec: mujoco.MjSpec, phi: np.ndarray) -> None:
+        """Give the hand in a spec, alone or in a scene, the design phi (d,)."""
+        angles, lengths = self.base_angles + phi[: self.fingers], phi[self.fingers :]
+        set_inertial(spec.body("palm"), palm_inertial(angles, self.servo))
+        for i, (angle, length) in enumerate(zip(angles.tolist(), lengths.tolist(), strict=True)):
+            name = _finger_name(i)
+            proximal, distal = spec.body(f"{name}_proximal"), spec.body(f"{name}_distal")
+            proximal.pos = [PALM_RADIUS * np.cos(angle), PALM_RADIUS * np.sin(angle), 0]
+            proximal.quat = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
+            distal.pos = [0, 0, -length]
+            set_inertial(proximal, link_inertial("proximal", length))
+            set_inertial(distal, link_inertial("distal", length))
+            for body in (proximal, distal):
+                spec.geom(body.name).fromto = [0, 0, 0, 0, 0, -length]
+
+    def _add_finger(self, spec: mujoco.MjSpec, palm: mujoco.MjsBody, i: int) -> None:
+        """Add a finger whose x points outward, without a design; it hangs down where its joints are at 0."""
+        name, colour = _finger_name(i), palette.PARTS[i % len(palette.PARTS)]
+        proximal = palm.add_body(name=f"{name}_proximal", gravcomp=1)
+        distal = proximal.add_body(name=f"{name}_distal", gravcomp=1)
         for body, part, axis, joint_range, shade in (
             (proximal, "proximal", -1, PROXIMAL_RANGE, colour),
             (distal, "distal", 1, DISTAL_RANGE, palette.lighter(colour)),
@@ -169,13 +180,15 @@ class Hand:
                 name=joint, axis=[0, axis, 0], range=joint_range, damping=[JOINT_DAMPING, 0, 0], armature=JOINT_ARMATURE
             )
             link = body.add_geom(
-                name=joint, type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, 0, 0, -length],
-                size=[FINGER_RADIUS, 0, 0], mass=0, friction=FINGER_FRICTION, condim=4, rgba=shade,
+                name=joint, type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[FINGER_RADIUS, 0, 0], mass=0,
+                friction=FINGER_FRICTION, condim=4, rgba=shade,
             )  # fmt: skip
             link.contype, link.conaffinity = FINGER_CONTACT
             _add_servo(spec, joint, joint_range, JOINT_KP, JOINT_KV, self.joint_torque)
-        set_inertial(proximal, link_inertial("proximal", length))
-        set_inertial(distal, link_inertial("distal", length))
+
+
+def _finger_name(i: int) -> str:
+    return f"finger_{i + 1}"
 
 
 def _add_servo(

@@ -34,6 +34,10 @@ class Simulated(Protocol):
         """Return hand, object, table and contact sensors with design phi (d,)."""
         ...
 
+    def set_design(self, scene: mujoco.MjSpec, phi: np.ndarray) -> None:
+        """Give what `scene` made for another design the design phi (d,)."""
+        ...
+
     def buildable(self, phi: np.ndarray) -> np.ndarray:
         """Tell (...) which designs (..., d) can be put together at all."""
         ...
@@ -73,7 +77,7 @@ class HandPhysics:
         self.buildable = task.buildable(phi)  # () or (N,) bool
         self._task = task
         distinct, which = np.unique(np.atleast_2d(phi), axis=0, return_inverse=True)
-        models = [(scene or task.scene(design)).compile() for design in distinct]
+        models = [scene.compile()] if scene else list(_compiled(task, distinct))
         self.watch: Watch | None = None
         self._models = [models[i] for i in which.reshape(-1)]
         self._batch: mujoco.batch.Batch | None = None
@@ -124,6 +128,15 @@ class HandPhysics:
             if len(self._models) > 1:
                 self._batch.set_models(self._models)
         return self._batch
+
+
+def _compiled(task: Simulated, designs: np.ndarray) -> Iterator[mujoco.MjModel]:
+    """Yield the model of each design (N, d): one scene is given all of them, which takes a third of the time that as
+    many scenes do."""
+    scene = task.scene(designs[0])
+    for design in designs:
+        task.set_design(scene, design)
+        yield scene.compile()
 
 
 def set_physics(spec: mujoco.MjSpec) -> None:

@@ -113,7 +113,7 @@ def _refuse(wanted: FilmArguments, flags: Sequence[str], other: str) -> None:
 
 
 def _write_still(places: Sequence[tuple[History, str | None]], wanted: FilmArguments, out: Path, *, json: bool) -> int:
-    from morph_core.durable import write_file
+    from morph_core.durable import where_written, write_file
     from studio.film.plan import STILL_DPI, STILL_WIDTH
     from studio.film.still import DPI, Format, Still, read_size
 
@@ -130,7 +130,7 @@ def _write_still(places: Sequence[tuple[History, str | None]], wanted: FilmArgum
     (history, design), form = places[0], Format(*read_size(wanted.size or f"{STILL_WIDTH:g}mm"), dpi, wanted.scale_bar)
     still = Still(history, design or wanted.design or "best", wanted.at, wanted.episode)
     content = still.svg(form) if ending == ".svg" else still.png(form)
-    write_file(out, content)
+    write_file(where_written(out), content)
     _tell(out, {"path": str(out), "bytes": len(content)}, json=json)
     return 0
 

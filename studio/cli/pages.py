@@ -20,10 +20,10 @@ def write_page(page: Page, out: Path, command: str, *, json: bool = False) -> in
 
     With `json` one document is printed that holds both.
     """
-    from morph_core.durable import write_file
+    from morph_core.durable import where_written, write_file
 
     try:
-        write_file(out, page.content)
+        write_file(where_written(out), page.content)
     except OSError as error:
         complain(f"morph-studio: {command}: can't write {out}: {error.strerror or error}")
         return 1

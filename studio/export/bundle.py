@@ -1,5 +1,6 @@
 """The chosen design as one zip or folder: what other tools read, the numbers behind it, and where they come from."""
 
+import dataclasses
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -39,12 +40,12 @@ from studio.export.servos import ServoTable, check_servo, servo_html, verdict
 from studio.export.step import step_files
 from studio.export.trial import Trial, begun
 from studio.export.urdf import write_urdf
-from studio.export.views import Views, views_of
+from studio.export.views import views_of
 from studio.export.zero import hold_keyframes, moved_zero, servo_targets
 from studio.robots.chooser import robot_of
 from studio.robots.deviation import Deviation, deviation
 from studio.robots.parts import Part, colours_of, dress, stl_files
-from studio.robots.robot import Program, Robot
+from studio.robots.robot import Robot
 
 FORMATS = ("mjcf", "urdf", "stl", "3mf", "glb")
 OPTIONAL_FORMATS = ("step", "ros", "ros2_control")
@@ -153,12 +154,14 @@ def _build(
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     scores = [*([msgspec.structs.replace(came.score, where="at export")] if came.score else []), *promised]
     files[FILE] = _json(msgspec.to_builtins(design))
-    measured = _episodes(history, recorded) if recorded else None
     oldest = _oldest(files)
-    files |= _papers(
-        task, design, phi, parts, prints, program, scores, recorded, measured, formats, oldest, came.table, wanted,
-        off, views,
+    sheet = Sheet(
+        title=task.title, design=design, robot=robot, parts=parts, views=views,
+        formats=[*formats, *(["onnx"] if onnx_policy.FILE in files else [])], scores=scores, recorded=recorded,
+        episodes=_episodes(history, recorded) if recorded else None, program=program,
+        no_onnx="" if onnx_policy.is_available() else onnx_policy.MISSING,
     )  # fmt: skip
+    files |= _papers(sheet, phi, prints, off, oldest, came.table, wanted)
     said, bed = [str(check) for check in checks], prints.printer.name if prints else ""
     provenance = provenance_of(history, iteration, files, said, scores, oldest, bed)
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
@@ -250,27 +253,17 @@ def _add_start(task: Task, scene: mujoco.MjSpec, phi: np.ndarray) -> None:
 
 
 def _papers(
-    task: Task,
-    design: Design,
+    sheet: Sheet,
     phi: np.ndarray,
-    parts: Sequence[Part],
     prints: Prints | None,
-    program: Program | None,
-    scores: Sequence[Score],
-    recorded: Evaluation | None,
-    episodes: int | None,
-    formats: Sequence[str],
+    off: Deviation | None,
     oldest: str,
     table: ServoTable | None,
     wanted: ServoName | None,
-    off: Deviation | None,
-    views: Views | None,
 ) -> dict[str, bytes]:
-    """Return what is written for people."""
-    robot = robot_of(task)
-    held = [*formats, "onnx"] if program and onnx_policy.is_available() else formats
+    """Return what is written for people: what is on the `sheet`, and what was measured besides."""
     papers = {
-        "README.txt": _readme(task, robot, held, program, oldest, table).encode(),
+        "README.txt": _readme(sheet, oldest, table).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
     more = [Section("Printed and simulated", f"<p>{escape(off.words)}")] if off else []
@@ -278,17 +271,11 @@ def _papers(
     if table:
         papers[servos.FILE] = _json(msgspec.to_builtins(table))
         more.append(Section("Servos", servo_html(table)))
-    if robot.printed:
-        lines = bill_of_materials(robot, phi, parts, table.servo if table else wanted, prints)
+    if sheet.robot.printed:
+        lines = bill_of_materials(sheet.robot, phi, sheet.parts, table.servo if table else wanted, prints)
         papers["BOM.csv"] = bill_csv(lines)
         more.append(Section("Bill of materials", bill_html(lines)))
-    sheet = Sheet(
-        title=task.title, design=design, robot=robot, parts=parts,
-        views=views, formats=held, scores=scores,
-        recorded=recorded, episodes=episodes, program=program,
-        more=more, no_onnx="" if onnx_policy.is_available() else onnx_policy.MISSING,
-    )  # fmt: skip
-    papers["report.html"] = report(sheet)
+    papers["report.html"] = report(dataclasses.replace(sheet, more=more))
     return papers
 
 
@@ -298,10 +285,9 @@ def _oldest(files: Mapping[str, bytes]) -> str:
     return oldest_reader(texts) if texts else ""
 
 
-def _readme(
-    task: Task, robot: Robot, formats: Sequence[str], program: Program | None, oldest: str, table: ServoTable | None
-) -> str:
-    name, package = robot.file_name, package_name(task.name)
+def _readme(sheet: Sheet, oldest: str, table: ServoTable | None) -> str:
+    robot, program = sheet.robot, sheet.program
+    name, package = robot.file_name, package_name(sheet.design.task)
     printed = "Print:   parts/*.stl (mm), one file for each part; BOM.csv says how many"
     shapes = "Shapes:  parts/*.stl (mm), the collision shapes of each link, which stand in for parts"
     lines = {
@@ -322,10 +308,10 @@ def _readme(
         "glb": "Look:    assembly.glb (m)",
         "step": "CAD:     step/*.step (mm), plane faces",
     }
-    said = [lines[kind] for kind in lines if kind in formats]
+    said = [lines[kind] for kind in lines if kind in sheet.formats]
     if program:
         graph = "policy.onnx is the same, as one graph in physical units: python policy.py compares both"
-        graph = graph if "onnx" in formats else f"no policy.onnx: {onnx_policy.MISSING}"
+        graph = graph if "onnx" in sheet.formats else f"no policy.onnx: {onnx_policy.MISSING}"
         said.append("\n         ".join([f"Policy:  {program.command}", *program.about, graph]))
     if table:
         said.append(f"Servos:  {verdict(table)};\n         report.html and {servos.FILE} say more")

@@ -22,7 +22,7 @@ def write_bundle(bundle: Bundle, out: Path) -> Path:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         if _is_zip(out):
-            durable.write_file(out, bundle.content)
+            durable.write_file(durable.where_written(out), bundle.content)
         else:
             with durable.replaced_folder(out) as draft:
                 for path, content in bundle.files.items():

@@ -73,8 +73,9 @@ def _read_mujoco(
         mujoco.mj_kinematics(model, data)
         origin = np.linalg.inv(_pose(data.xmat[base], data.xpos[base]))
         centres = data.xpos + np.einsum("bij,bj->bi", data.xmat.reshape(-1, 3, 3), offsets)
-        found = {links[i]: origin @ _pose(data.xmat[i], centres[i]) for i in range(1, model.nbody)}
-        return found | {s: origin @ _pose(data.site_xmat[i], data.site_xpos[i]) for i, s in enumerate(sites)}
+        bodies, frames = _pose(data.xmat, centres), _pose(data.site_xmat, data.site_xpos)
+        placed = origin @ np.concatenate([bodies[1:], frames[: len(sites)]])
+        return dict(zip([*links[1:], *sites], placed, strict=True))
 
     return Reading(
         masses={links[i]: float(model.body_mass[i]) for i in heavy},
@@ -199,9 +200,11 @@ def _yourdfpy_reach(collision: Any, origin: np.ndarray, folder: Path) -> np.ndar
 
 
 def _pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3] = rotation.reshape(3, 3)
-    pose[:3, 3] = position
+    """Return rotations (..., 9) and positions (..., 3) as matrices (..., 4, 4)."""
+    pose = np.zeros((*position.shape[:-1], 4, 4))
+    pose[..., :3, :3] = rotation.reshape(*position.shape[:-1], 3, 3)
+    pose[..., :3, 3] = position
+    pose[..., 3, 3] = 1.0
     return pose
 
 

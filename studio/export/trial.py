@@ -75,7 +75,7 @@ def begun(trial: Trial | None) -> Iterator[Callable[[], Outcome]]:
         return
     # A fork has all modules loaded, but would copy the locks that other threads hold.
     alone = sys.platform == "linux" and threading.active_count() == 1
-    context = multiprocessing.get_context("fork" if alone else "spawn")
+    context = multiprocessing.get_context("fork") if alone else multiprocessing.get_context("spawn")
     end, other = context.Pipe(duplex=False)
     with _TURN:
         process = context.Process(target=_run, args=(trial, other), daemon=True)

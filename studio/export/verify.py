@@ -141,12 +141,14 @@ def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
     checks.append(worst(f"{name}: nothing added", 0.0, _added(reference, reading)))
     positions: dict[str, float] = {}
     rotations: dict[str, float] = {}
-    for posture in postures(reference.limits):
-        found = reading.poses(posture | dict.fromkeys(reading.limits.keys() - posture.keys(), 0.0))
-        for body, pose in reference.poses(posture).items():
-            off = np.abs(found[body] - pose) if body in found else np.full((4, 4), math.inf)
-            positions[body] = max(positions.get(body, 0.0), float(off[:3, 3].max()))
-            rotations[body] = max(rotations.get(body, 0.0), float(off[:3, :3].max()))
+    asked = postures(reference.limits)
+    known = [reference.poses(posture) for posture in asked]
+    found = [reading.poses(posture | dict.fromkeys(reading.limits.keys() - posture.keys(), 0.0)) for posture in asked]
+    nowhere = np.full((4, 4), math.inf)
+    for body in known[0]:
+        off = np.abs(np.stack([f.get(body, nowhere) for f in found]) - np.stack([k[body] for k in known]))
+        positions[body] = float(off[:, :3, 3].max())
+        rotations[body] = float(off[:, :3, :3].max())
     return [
         *checks,
         worst(f"{name}: positions in {POSTURES} postures (m)", POSITION_ALLOWED, positions),

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from morph_core.durable import write_file
+from morph_core.durable import where_written, write_file
 from studio.film.errors import FilmError
 from studio.film.page import Pages
 from studio.film.plan import Film, Script
@@ -73,8 +73,9 @@ class Reel:
             raise FilmError(f'a film ends in {" or ".join(ENDINGS)}, not "{out.suffix[:20]}"')
         if not out.parent.is_dir():
             raise FilmError(f"there is no folder {out.parent} to write into")
-        if out.is_dir():
-            raise FilmError(f"{out} is a folder; give the path of a file")
+        out = where_written(out)
+        if out.exists() and not out.is_file():
+            raise FilmError(f"{out} is a folder or a device; give the path of a file")
         find_font()
         ffmpeg, script = find_ffmpeg(), Script(film)
         reel = cls(film, out, ffmpeg, script.frames)

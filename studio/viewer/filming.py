@@ -48,6 +48,10 @@ class FilmPanel:
         self._shown = FilmState()
         self.folder = gui.add_folder("Film or still", expand_by_default=False)
         with self.folder:
+            self.bar = gui.add_progress_bar(0.0, visible=False)
+            self.note = gui.add_html("", visible=False)
+            self.cancel = gui.add_button("Cancel", icon=viser.Icon.X, color="gray", visible=False)
+            self.download = gui.add_button("Download", icon=viser.Icon.DOWNLOAD, color="green", visible=False)
             self.what = gui.add_dropdown(
                 "of", tuple(_FORMATS),
                 hint="evolution: all designs, then an episode; episode, still: of the design that is chosen above",
@@ -58,10 +62,6 @@ class FilmPanel:
                 "Make the film", icon=viser.Icon.MOVIE, color="blue",
                 hint="In the background, with what processor time the trainings leave; the command line offers more",
             )  # fmt: skip
-            self.bar = gui.add_progress_bar(0.0, visible=False)
-            self.note = gui.add_html("", visible=False)
-            self.cancel = gui.add_button("Cancel", icon=viser.Icon.X, color="gray", visible=False)
-            self.download = gui.add_button("Download", icon=viser.Icon.DOWNLOAD, color="green", visible=False)
         self.what.on_update(lambda _: self._offer_formats())
         self.format.on_update(lambda _: self._offer_sizes())
         self.make.on_click(lambda _: self.submit())
@@ -126,7 +126,8 @@ class FilmPanel:
         self.bar.visible = self.cancel.visible = making
         self.bar.value = 100.0 * state.done / max(1, state.frames)
         self.bar.animated = making
-        self.make.visible = not making
+        self.what.visible = self.format.visible = self.make.visible = not making  # so that the bar is in sight
+        self.size.visible = not making and self.what.value != "still"
         self.download.visible = ready
         if ready:
             self.download.label = f"Download {wording.size(state.size)}"

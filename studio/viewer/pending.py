@@ -34,12 +34,15 @@ class Pending:
 
 
 def _unanswered(pending: Sequence[tuple[AnyCommand, int]], history: History) -> list[tuple[AnyCommand, int]]:
-    answers = [(i, event.command) for i, event in enumerate(history.acknowledged)]
-    left = []
+    """Return the commands without an answer, each with the number of the first answer that may be its own: what was
+    answered once does not answer an equal command again."""
+    left, used = [], []
     for command, asked_at in pending:
-        answer = next(((i, answered) for i, answered in answers if i >= asked_at and answered == command), None)
+        first = max([asked_at, *(i + 1 for i, answered in used if answered == command)])
+        answers = ((i, event.command) for i, event in enumerate(history.acknowledged))
+        answer = next(((i, answered) for i, answered in answers if i >= first and answered == command), None)
         if answer:
-            answers.remove(answer)
+            used.append(answer)
         else:
-            left.append((command, asked_at))
+            left.append((command, first))
     return left

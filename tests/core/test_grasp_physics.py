@@ -16,6 +16,8 @@ from morph_core.method import Method
 from morph_core.rollout import collect
 from morph_core.state import start
 from morph_core.task import Hardware, Transition
+from morph_core.tasks.grasp import GraspTask
+from morph_core.tasks.mouse_click import MouseClick
 from morph_core.tasks.pen_press import PenPress
 from morph_core.tasks.simulation import SUBSTEPS
 from tests.core.conftest import SMALL, small_method
@@ -40,6 +42,22 @@ def some_designs(seed: int, count: int = N) -> np.ndarray:
     """Return designs (count, d) with fingers apart, .1 to .3 m long: they reach and push the pen."""
     rng = np.random.default_rng(seed)
     return np.concatenate([rng.uniform(-0.3, 0.3, (count, 4)), rng.uniform(0.1, 0.3, (count, 4))], 1)
+
+
+def stored(model: mujoco.MjModel) -> bytes:
+    """Return all of a model."""
+    whole = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, whole)
+    return whole.tobytes()
+
+
+@pytest.mark.parametrize("task", [TASK, MouseClick(servo="mg90s")], ids=lambda task: task.name)
+def test_a_scene_that_is_given_a_design_is_the_scene_made_for_it(task: GraspTask) -> None:
+    space = task.design_space
+    first, second = np.random.default_rng(0).uniform(space.lo, space.hi, (2, len(space)))
+    scene = task.scene(first)
+    task.set_design(scene, second)
+    assert stored(scene.compile()) == stored(task.scene(second).compile())
 
 
 def play(task: PenPress, hw_phy: Hardware, s: np.ndarray, seed: int, steps: int) -> list[Transition]:

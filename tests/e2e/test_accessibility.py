@@ -47,7 +47,7 @@ def test_our_pages_have_nothing_that_is_serious(filled: Server, page: Page, sche
     expect(page.locator("#tour")).to_be_visible()
     assert grave(page) == {}, "the tour"
 
-    assert_audience_has_nothing(page, base)
+    assert_audience_has_nothing(page, base, scheme)
 
     page.goto(f"{base}/docs")
     assert grave(page) == {}, "the API page"
@@ -70,9 +70,12 @@ def test_our_pages_have_nothing_that_is_serious(filled: Server, page: Page, sche
         page.keyboard.press("Escape")
 
 
-def assert_audience_has_nothing(presenter: Page, base: str) -> None:
+def assert_audience_has_nothing(presenter: Page, base: str, scheme: str) -> None:
+    browser = presenter.context.browser
+    assert browser is not None
+    presenter.locator("#chooser").select_option("reacher-direct-s1")
     link = presenter.request.post(f"{base}/api/audience", headers={"Origin": base}, data={}).json()["link"]
-    page = presenter.context.new_page()
+    page = browser.new_page(color_scheme=scheme)  # pyright: ignore[reportArgumentType]
     page.goto(f"{base}/{link}")
     expect(page.locator("#curves")).to_be_visible(timeout=20_000)
     expect(page.locator("#curtain")).to_be_hidden()
@@ -80,7 +83,7 @@ def assert_audience_has_nothing(presenter: Page, base: str) -> None:
     page.get_by_role("button", name="Look around alone").click()
     expect(page.locator("#opening")).to_be_hidden(timeout=20_000)
     assert grave(page) == {}, "a spectator alone"
-    page.close()
+    page.context.close()
 
 
 def test_what_the_viewer_lacks_is_visers_own_and_listed(filled: Server, page: Page) -> None:

@@ -16,7 +16,7 @@ def test_a_first_visit_sees_a_robot_evolve_and_a_key_trains_one(server: Server, 
     frame = viewer_of(page)
     expect(page.locator("#loading")).to_be_hidden()
     label = page.locator("#caption-label")
-    expect(label).to_contain_text("recorded: 211 iterations, 3 minutes of training shown in 20 s")
+    expect(label).to_contain_text("recorded: 211 iterations, 3 minutes of training, shown in 20 s")
     body = wait_for("the robot", lambda: robot_of(frame), 10)
     wait_for("its evolution", lambda: robot_of(frame) != body, 10)
     expect(page.locator("#caption-title")).to_be_hidden()

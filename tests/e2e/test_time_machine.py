@@ -81,7 +81,7 @@ def test_a_run_is_scrubbed_through_with_its_marks_and_a_picture_turns_to_its_des
     scrub(frame, 4)
     expect(frame.get_by_text("In force at iteration 4")).to_be_attached()
     expect(frame.get_by_text("α 1 · projection")).to_be_attached()
-    wait_for("the line in the charts", lambda: 4 in [line for line, _, _ in frame.evaluate(CHARTS)], 10)
+    wait_for("the line in the charts", lambda: 4 in [line for line, _, _ in frame.evaluate(CHARTS)], 30)
     assert all(low < high for _, low, high in frame.evaluate(CHARTS))
 
     press(frame, "next")

@@ -494,7 +494,7 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     assert eventually(lambda: server.started)
     headers = {"Authorization": f"Bearer {TOKEN}"}
     try:
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=headers, timeout=20) as client:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=headers, timeout=120) as client:
             yield Served(app, port, client, viewers)
     finally:
         server.should_exit = True

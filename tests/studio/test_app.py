@@ -76,13 +76,9 @@ def test_a_page_stays_open_over_a_restart_of_the_server(tmp_path: Path) -> None:
 def test_a_busy_port_is_an_error_and_never_the_next_port(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with process(tmp_path, port) as (server, _):
-            assert server.wait(20) == 1
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
         ended = subprocess.run(
             [sys.executable, "-c", SERVE, str(port), str(tmp_path / "runs"), str(tmp_path)],
-            capture_output=True, text=True, cwd=ROOT, timeout=30, check=False,
+            capture_output=True, text=True, cwd=ROOT, timeout=100, check=False,
         )  # fmt: skip
     assert ended.returncode == 1
     assert ended.stderr.strip() == f"can't listen on 127.0.0.1:{port}: Address already in use"

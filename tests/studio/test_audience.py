@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import math
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -388,9 +389,7 @@ def test_a_spectator_looks_alone_at_runs_that_were_shown_and_at_no_others(hall: 
     assert hall.served.client.get(f"/audience/runs/{shown.id}/evolution.html").status_code == 404
 
 
-def test_the_page_of_a_run_is_written_once_for_all_and_anew_after_a_rest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_of_a_run_is_written_once_for_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, written = make_run(tmp_path), []
 
     def build(histories: list[History]) -> Any:
@@ -407,6 +406,7 @@ def test_the_page_of_a_run_is_written_once_for_all_and_anew_after_a_rest(
         append(folder, progress(4))
         assert await pages.page("a run") == b"iteration 3"
         monkeypatch.setattr(evolutions_module, "REST", 0.0)
+        monkeypatch.setattr(evolutions_module, "SHARE", math.inf)
         assert await pages.page("a run") == b"iteration 4"
         for i in range(evolutions_module.KEPT):
             await pages.page(f"another run {i}")

@@ -236,11 +236,13 @@ def test_the_panel_shows_how_far_the_film_is_and_hands_it_out(page: Page, tmp_pa
     page.viewer.refresh()
     assert "100 of 400 frames, about 1 min 30 s left" in panel.note.content
     assert (panel.bar.value, panel.bar.visible, panel.make.visible, panel.cancel.visible) == (25.0, True, False, True)
+    assert not panel.size.visible
     films.path = tmp_path / "film.mp4"
     films.path.write_bytes(b"film")
     films.state = msgspec.structs.replace(films.state, state="ready", size=1_200_000)
     panel.update(history)
     assert (panel.download.label, panel.bar.visible, panel.make.visible) == ("Download 1.2 MB", False, True)
+    assert panel.size.visible
     sent: list[tuple[str, bytes]] = []
 
     class Browser:

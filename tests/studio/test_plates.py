@@ -23,7 +23,7 @@ from studio.export.coupon import NAME as COUPON
 from studio.export.coupon import STEPS, coupon
 from studio.export.errors import ExportError
 from studio.export.gauge import bore, fits_of, overhang, thinnest_wall
-from studio.export.layout import GAP
+from studio.export.layout import GAP, arrange
 from studio.export.pieces import pieces_of
 from studio.export.plate_picture import plate_picture
 from studio.export.plates import PIECES, Prints, dowels_bought, note_of, plan_prints, plate_title, print_files
@@ -192,6 +192,9 @@ def test_a_link_lies_across_the_bed_before_it_is_cut() -> None:
     assert DEFAULT.longest(29.2) == pytest.approx(math.sqrt(2) * room - 29.2, rel=1e-3)
     assert len(pieces_of(link("finger", 275.0), DEFAULT).pieces) == 1
     assert len(pieces_of(link("finger", 290.0), DEFAULT).pieces) == 2
+    bars = [pieces_of(block((length, 20.0, 5.0)), DEFAULT).pieces[0] for length in (200.0, 245.0)]
+    [plate] = arrange(bars, DEFAULT)  # the shorter one beside it, though it needs no slant
+    assert len(plate.items) == 2
 
 
 def test_more_pieces_than_hold_together_are_refused_with_the_length_and_what_is_allowed() -> None:

@@ -51,6 +51,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
 
 def test_there_is_one_of_each_task_and_all_are_small_and_in_the_wheel() -> None:
     assert SHIPPED.names() == [f"recorded-{task}" for task in TASKS]
+    assert SHIPPED.of("a_task_of_ones_own") is None
     files = [path for path in RECORDED.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) <= LARGEST
     shipped = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["studio"]
@@ -169,6 +170,14 @@ def test_a_damaged_one_is_refused_by_one_sentence(tmp_path: Path, damage: str, h
         Recordings(tmp_path).of("mouse_click")
 
 
+def test_one_that_nothing_was_measured_of_is_refused(tmp_path: Path) -> None:
+    folder = shutil.copytree(RECORDED / "recorded-mouse_click", tmp_path / "recorded-mouse_click")
+    about = json.loads((folder / ABOUT).read_bytes())
+    (folder / ABOUT).write_text(json.dumps(about | {"episodes": 0}))
+    with pytest.raises(RunFolderError, match="is empty; install morph-studio anew"):
+        Recordings(tmp_path).of("mouse_click")
+
+
 # --- its film ---
 
 
@@ -242,7 +251,7 @@ def test_the_start_page_plays_the_recorded_run_of_the_chosen_task_where_there_is
     viewer.show({}, {})
     assert eventually(lambda: caption(visit))
     assert str(caption(visit)["label"]).startswith("recorded: ")
-    assert str(caption(visit)["label"]).endswith(" shown in 20 s")
+    assert str(caption(visit)["label"]).endswith(", shown in 20 s")
     assert viewer.stage.projector.history is recording(viewer.start.task.value).history
     for task in TASKS:
         viewer.start.task.value = task
@@ -318,7 +327,7 @@ def test_presenters_mode_plays_the_film_of_a_run_and_trains_live_by_a_key(visit:
     assert viewer.view.presents
     assert viewer.stage.projector.history is history
     assert eventually(lambda: caption(visit).get("presents"))
-    assert caption(visit)["label"] == f"{NAME}: finished shown in 20 s"
+    assert caption(visit)["label"] == f"{NAME}: finished, shown in 20 s"
     assert caption(visit)["enter"]
     deeds["enter"](None)
     assert [wish.task for wish in visit.started] == ["reacher"]
