@@ -1,5 +1,6 @@
 """Policy and critic with their optimiser, and how they learn: PPO (Schulman et al. 2017)."""
 
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -138,8 +139,10 @@ class Control:
 
         Return the standardised advantages (B,) float32 of the steps alive.
         """
+        began = time.monotonic()
         batch = self.batch(rollout)
         self.improve(batch, iteration - state.control_start, state.rng)
+        state.learnt_in = time.monotonic() - began
         self._restart_where_stuck(state, rollout, iteration)
         return batch.advantage.numpy()
 

@@ -735,6 +735,13 @@ MUTANTS: tuple[Mutant, ...] = (
         ("history.heartbeat and history.status in AT_REST", "history.status in AT_REST"),
     ),
     *_of(
+        f"{CORE}/train.py",
+        "core/test_train.py::test_searches_are_expected_to_end_where_success_freezes_phi",
+        ("min(last, self._freezes_at)", "last"),
+        ("or not method.freezes", ""),
+        ("self._iteration + _SEARCHED * left", "_SEARCHED * left"),
+    ),
+    *_of(
         f"{CORE}/pace.py", "core/test_pace.py",
         ("_mean(self._plain) or self._first", "self._first"),
         ("plain = seconds - (searching or 0.0)", "plain = seconds"),
@@ -743,8 +750,9 @@ MUTANTS: tuple[Mutant, ...] = (
         ("values[1 - most :]", "values"),
         ("if searching is not None:", "if False:"),
         ("search * searches", "0.0"),
-        ("_mean(self._evaluated) or expected", "_mean(self._evaluated) or 0.0"),
-        ("_mean(self._evaluated) or expected", "expected"),
+        ("min(alone, plain) * settled", "alone * settled"),
+        ("self.evaluation or expected", "self.evaluation or 0.0"),
+        ("self.evaluation or expected", "expected"),
     ),
     *_of(
         f"{CORE}/train.py", "core/test_steered.py",
