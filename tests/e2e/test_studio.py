@@ -183,7 +183,7 @@ def test_a_person_starts_watches_steers_and_downloads_a_run(server: Server, page
 
     turn_to(frame, "Export")
     press(frame, "Check and prepare")
-    expect(frame.get_by_text(re.compile(r"✓ \d+ comparisons agree"))).to_be_visible()
+    expect(frame.get_by_text(re.compile(r"✓ \d+ comparisons agree"))).to_be_visible(timeout=200_000)
     with page.expect_download() as download:
         frame.get_by_role("button", name=re.compile("^Download ")).dispatch_event("click")
     zipfile.ZipFile(download.value.path()).extractall(tmp_path / "design")
