@@ -1,10 +1,12 @@
 """Files and folders that are there whole or not at all, whenever the machine or the process goes down."""
 
 import contextlib
+import errno
 import os
 import re
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,8 +17,15 @@ _NAME = 40
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file; an earlier one stays until the new one is whole."""
+    """Write a file; an earlier one stays until the new one is whole. A link there is replaced, not followed.
+
+    FileExistsError where anything else is there, such as a folder, a device or a pipe.
+    """
     draft = _beside(path, "draft")
+    with contextlib.suppress(FileNotFoundError):
+        mode = path.lstat().st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISLNK(mode):
+            raise FileExistsError(errno.EEXIST, "something is there that is no plain file", str(path))
     try:
         with draft.open("xb") as file:
             file.write(content)
@@ -26,6 +35,11 @@ def write_file(path: Path, content: bytes) -> None:
     except BaseException:
         draft.unlink(missing_ok=True)
         raise
+
+
+def where_written(path: Path) -> Path:
+    """Return where a file that a person has named is to be written: a link of theirs is followed."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 @contextlib.contextmanager
@@ -95,7 +109,9 @@ def recover(parent: Path, target: re.Pattern[str]) -> None:
 
 
 def _beside(target: Path, suffix: str) -> Path:
-    """Return a hidden path that nobody else uses; its name says whose it is."""
+    """Return a hidden path that nobody else uses; its name says whose it is. OSError for a path without a name."""
+    if target.name in ("", ".."):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
     return target.with_name(f".{target.name[:_NAME]}.{secrets.token_hex(4)}.{suffix}")
 
 

@@ -33,7 +33,7 @@ from morph_core.protocol import (
     Stop,
 )
 from morph_core.pulse import Pulse
-from morph_core.run_folder import SAID_ENDED, RunFolder, RunFolderError
+from morph_core.run_folder import ITERATION, SAID_ENDED, RunFolder, RunFolderError
 
 STARTS_WITHIN = 10.0
 """Seconds after its creation in which a run has a heartbeat, unless it is queued."""
@@ -199,7 +199,10 @@ class History:
         if self.status == "queued":
             return "no trainer has taken it up yet"
         if self.status == "lost":
-            return "the trainer died without a word (killed, or the machine went down); resume goes on from checkpoint"
+            return (
+                "the trainer died without a word (killed, or the machine went down); "
+                "resume goes on from its newest checkpoint"
+            )
         if self.heartbeat and self.heartbeat.message and self.status not in SAID_ENDED:
             return self.heartbeat.message
         return self.state.message if self.state else ""
@@ -263,7 +266,7 @@ class History:
             return (best.iteration, np.array(best.phi)) if best else (self.iteration, self.phi)
         if which in ("0", str(self.begins_at)):
             return self.begins_at, self.initial_phi
-        if not which.isdecimal():
+        if not ITERATION.fullmatch(which):
             raise RunFolderError(f'no design "{which[:40]}"; choose best, latest or an iteration (0: the initial one)')
         number = bisect.bisect_left(self.progress, int(which), key=lambda p: p.iteration)
         if number < len(self.progress) and self.progress[number].iteration == int(which):

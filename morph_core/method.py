@@ -84,8 +84,14 @@ class Method(Settings, ABC):
 
     @property
     def search_interval(self) -> int:
-        """Return the number of iterations from one search for phi to the next; 1 where none differs from the others."""
+        """Return the number of iterations from one search for phi to the next; 1 where every iteration has one, or
+        none has."""
         return 1
+
+    @property
+    def freezes(self) -> bool:
+        """Tell whether success freezes phi, after which it is searched no more."""
+        return False
 
     def prepare(self, task: Task, state: "State") -> None:
         """Do what is needed once before the first iteration, which does it otherwise."""

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 _WINDOW = 20
 """Number of iterations over which the pace is taken, so that it hardly swings."""
 _SELDOM = 5
-"""Number of iterations with a search, and of evaluations, over which theirs is taken: they come seldom."""
+"""Number of searches for phi, and of evaluations, over which theirs is taken: they come seldom."""
 
 
 class Pace:
-    """Seconds of a trainer's iterations, of those with a search for phi, and of its evaluations, each by itself: what
-    comes every few iterations is counted, and not spread over those that happen to have been timed.
+    """Seconds of a trainer's iterations, of the searches for phi in them, and of its evaluations, each by itself: what
+    comes every few iterations, or ends before the run does, is counted, and not spread over all of them.
 
     It may be asked by one thread while another one tells it of an iteration.
     """
@@ -18,18 +18,19 @@ class Pace:
     def __init__(self) -> None:
         self._first: float | None = None
         self._plain: Sequence[float] = ()
-        self._searched: Sequence[float] = ()
+        self._searches: Sequence[float] = ()
         self._evaluated: Sequence[float] = ()
         self._env_steps: Sequence[float] = ()
 
-    def took(self, seconds: float, env_steps: int, searched: bool = False) -> None:
-        """Take in an iteration, with or without a search for phi that not every iteration has."""
+    def took(self, seconds: float, env_steps: int, searching: float | None = None) -> None:
+        """Take in an iteration, of which a search for phi took the seconds `searching`; None if it had none."""
+        plain = seconds - (searching or 0.0)
         if self._first is None:
-            self._first = seconds
-        elif searched:
-            self._searched = _newest(self._searched, seconds, _SELDOM)
+            self._first = plain
         else:
-            self._plain = _newest(self._plain, seconds, _WINDOW)
+            self._plain = _newest(self._plain, plain, _WINDOW)
+        if searching is not None:
+            self._searches = _newest(self._searches, searching, _SELDOM)
         self._env_steps = _newest(self._env_steps, env_steps, _WINDOW)
 
     def evaluated(self, seconds: float) -> None:
@@ -41,8 +42,10 @@ class Pace:
         """Return the environment steps of an iteration; None before the first one."""
         return _mean(self._env_steps)
 
-    def left(self, iterations: int, searches: int = 0, evaluations: float = 0.0, expected: float = 0.0) -> float | None:
-        """Return the seconds that so many iterations, searches among them and evaluations beside them will take.
+    def left(
+        self, iterations: int, searches: float = 0.0, evaluations: float = 0.0, expected: float = 0.0
+    ) -> float | None:
+        """Return the seconds that so many iterations, the searches in them and evaluations beside them will take.
 
         An evaluation takes the `expected` seconds as long as none was timed. None before the first iteration.
         """
@@ -50,9 +53,9 @@ class Pace:
             return None
         # Much is done for the first time in the first one: it counts as long as there is no other.
         plain = _mean(self._plain) or self._first
-        searched = _mean(self._searched) or plain
+        search = _mean(self._searches) or 0.0
         evaluated = _mean(self._evaluated) or expected
-        return plain * (iterations - searches) + searched * searches + evaluated * evaluations
+        return plain * iterations + search * searches + evaluated * evaluations
 
 
 def _newest(values: Sequence[float], value: float, most: int) -> Sequence[float]:

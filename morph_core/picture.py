@@ -78,19 +78,20 @@ def draw(surfaces: Sequence[Surface], camera: Camera, light: Light = BESIDE_THE_
     nearest = np.full(height * width, -np.inf)
     np.maximum.at(nearest, at, depth)
     front = depth == nearest[at]
-    canvas = np.zeros((height * width, 4))
-    canvas[at[front], :3] = shaded[which[front]]
-    canvas[at[front], 3] = 1.0
-    return _averaged(canvas.reshape(height, width, 4))
+    shown = np.full(height * width, -1)
+    shown[at[front]] = which[front]
+    filled = np.flatnonzero(shown >= 0)
+    return _averaged(filled, shaded[shown[filled]], camera.width, camera.height)
 
 
-def _averaged(canvas: np.ndarray) -> np.ndarray:
-    """Return an image (h, w, 4) uint8 of a canvas of finer pixels in [0, 1]."""
-    each = range(_OVERSAMPLING)
-    total = np.sum([canvas[i::_OVERSAMPLING, j::_OVERSAMPLING] for i in each for j in each], axis=0)
-    total[..., :3] /= np.maximum(total[..., 3:], 1)
-    total[..., 3] /= _OVERSAMPLING**2
-    return np.round(255 * total).astype(np.uint8)
+def _averaged(at: np.ndarray, colours: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return an image (height, width, 4) uint8 of finer pixels (n,), by their places, and their colours (n, 3)."""
+    row, column = np.divmod(at, width * _OVERSAMPLING)
+    coarse = row // _OVERSAMPLING * width + column // _OVERSAMPLING
+    count = np.bincount(coarse, minlength=height * width)
+    total = np.stack([np.bincount(coarse, channel, height * width) for channel in colours.T], 1)
+    image = np.concatenate([total / np.maximum(count, 1)[:, None], count[:, None] / _OVERSAMPLING**2], 1)
+    return np.round(255 * image).astype(np.uint8).reshape(height, width, 4)
 
 
 def covered(corners: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

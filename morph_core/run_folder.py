@@ -42,6 +42,8 @@ UNPACKED_BYTES = 1 << 30
 LONGEST_SENDER = 200
 """Largest number of characters that are kept of who sent a command."""
 _ORDER = re.compile(r"[0-9]{1,12}\.json")
+ITERATION = re.compile(r"[0-9]{1,12}")
+"""What a word is like that names an iteration."""
 CHECKPOINT = re.compile(r"[0-9]{6,12}")
 """What a checkpoint is called: the number of its iteration."""
 _CHOSEN = "recorded"
@@ -69,8 +71,8 @@ class RunFolder:
 
     @property
     def id(self) -> str:
-        """Name of the run, which is that of its folder."""
-        return self.path.name
+        """Name of the run, which is that of its folder; bytes in it that are no characters are written out."""
+        return os.fsencode(self.path.name).decode(errors="backslashreplace")
 
     @property
     def events(self) -> Path:

@@ -1,5 +1,6 @@
 """Lines 4-6 of Algorithm 1: the dataset relabelled by the proxy, and what a search for phi (Eq. 3) is."""
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -139,7 +140,7 @@ def derive_design(task: Task, state: "State", dataset: Dataset, search: Search, 
 
     Return the divergence of Hw-Phy with the new phi from the dataset.
     """
-    seed = int(state.rng.integers(1, 2**31))
+    began, seed = time.monotonic(), int(state.rng.integers(1, 2**31))
     space, physics = state.design_space, Physics(task)
     phi = space.clip(state.phi)
     candidates = phi[None]
@@ -153,4 +154,5 @@ def derive_design(task: Task, state: "State", dataset: Dataset, search: Search, 
     state.search_steps += physics.steps
     if physics.generation is not None:
         state.generation = physics.generation
+    state.searched_in = time.monotonic() - began
     return float(costs[best])

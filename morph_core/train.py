@@ -6,6 +6,7 @@ import functools
 import math
 import os
 import platform
+import shlex
 import signal
 import sys
 import threading
@@ -65,6 +66,9 @@ POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
 PAUSED = "it keeps its core, on a cluster too: Resume goes on, Stop saves and frees the core"
 _LEARNING = "collecting and learning"
+_SEARCHED = 0.6
+"""Expected share of what is left of a method's schedule over which phi is still searched, where success will freeze it;
+in recorded runs of the three tasks it was 0.5 to 0.8."""
 LAST_ITERATION = 10**9
 """Largest number of iterations that a trainer can be asked for."""
 SHOWN_DESIGNS = 64
@@ -93,7 +97,7 @@ class Trainer:
         self._budget = None if (further or until) is not None else self._record.env_steps
         self._longest_iteration = 1  # environment steps
         self._method: Method | None = None
-        self._searches, self._collected_in = True, 0.0
+        self._is_searching, self._collected_in = True, 0.0
         self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
         self._best: Evaluation | None = None
@@ -123,8 +127,8 @@ class Trainer:
             self._set("running", _LEARNING)
             began, steps = time.monotonic(), state.env_steps
             for progress in method.iterations(task, state):
-                searched = method.search_interval > 1 and progress.search_cost is not None
-                self._pace.took(time.monotonic() - began, state.env_steps - steps, searched)
+                searching = state.searched_in if progress.search_cost is not None else None
+                self._pace.took(time.monotonic() - began, state.env_steps - steps, searching)
                 self._take_in(task, method, state, progress)
                 self._between_iterations(state)
                 if self._stopping or self._is_done(state):
@@ -204,13 +208,27 @@ class Trainer:
         steps = self._pace.env_steps or self._longest_iteration
         return min(remaining, math.ceil(max(0, self._budget - self._env_steps) / max(1.0, steps)))
 
+    @property
+    def _last_search(self) -> float:
+        """Return the iteration after which no search for phi is expected any more.
+
+        Success freezes phi, and so ends the searches: when, is guessed. Where a budget of steps ends the run nothing
+        is taken off: success may make episodes shorter, too, and so iterations more.
+        """
+        method = self._method
+        if method is None or self._budget is not None or not method.freezes:
+            return math.inf
+        planned = method.schedule.iterations
+        left = planned - self._iteration
+        return self._iteration + _SEARCHED * left if left > 0 else math.inf
+
     def _seconds_left(self, remaining: int) -> float | None:
         """Return the seconds that so many iterations will take, with the searches and evaluations among them."""
         if self._method is None or self._status in SAID_ENDED:
             return None
         evaluation, every = self._method.evaluation, self._method.search_interval
         first, last = self._iteration, self._iteration + remaining
-        searches = last // every - first // every if every > 1 and self._searches else 0
+        searches = min(last, self._last_search) // every - first // every if every > 1 and self._is_searching else 0
         evaluations = last // evaluation.interval - first // evaluation.interval
         evaluations += remaining > 0 and last % evaluation.interval > 0  # each run ends with one
         at_the_end = self._record.final_episodes / evaluation.episodes
@@ -269,7 +287,7 @@ class Trainer:
         raise RunFolderError(
             f"{why}. No checkpoint is left to go on from. To begin anew from the initial design, which gives up "
             f"{history.iteration - history.begins_at} iterations: "
-            f"morph-studio train --resume {self._folder.id} --from-start"
+            f"morph-studio train --resume {shlex.quote(str(self._folder.path))} --from-start"
         )
 
     def _take_in(self, task: Task, method: Method, state: State, progress: Progress) -> None:
@@ -277,7 +295,7 @@ class Trainer:
         if not all_finite(state) or not np.isfinite(progress.episode_return):
             raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
         self._iteration, self._env_steps = state.iteration, state.env_steps
-        self._searches, self._collected_in = not state.frozen, state.collected_in
+        self._is_searching, self._collected_in = not state.frozen, state.collected_in
         progress = msgspec.structs.replace(
             progress, relabelled_steps=state.relabelled_steps, search_steps=state.search_steps,
             diverged=state.diverged, cpu_seconds=self._cpu_seconds,
@@ -329,13 +347,12 @@ class Trainer:
 
     def _tell(self, state: State, sampled: Score, mean: Score, episodes: int, **said: Any) -> None:
         told = Evaluation(
-                iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
-                sampled_success=sampled.success, sampled_return=sampled.episode_return,
-                deterministic_success=mean.success, deterministic_return=mean.episode_return,
-                milestones=sampled.milestones, diverged=sampled.diverged, reward_terms=sampled.reward_terms,
-                return_interval=sampled.return_interval,
-                cpu_seconds=self._cpu_seconds, episodes=episodes, **said,
-            )  # fmt: skip
+            iteration=state.iteration, env_steps=state.env_steps, phi=state.phi.tolist(),
+            sampled_success=sampled.success, sampled_return=sampled.episode_return,
+            deterministic_success=mean.success, deterministic_return=mean.episode_return,
+            milestones=sampled.milestones, diverged=sampled.diverged, reward_terms=sampled.reward_terms,
+            return_interval=sampled.return_interval, cpu_seconds=self._cpu_seconds, episodes=episodes, **said,
+        )  # fmt: skip
         self._write(told)
         self._best = max((e for e in (self._best, told) if e), key=merit)
 

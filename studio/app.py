@@ -1,6 +1,7 @@
 """The web application: one FastAPI around the runs, the viewer and the shell page; and the server that runs it."""
 
 import contextlib
+import html
 import logging
 import secrets
 import socket
@@ -16,9 +17,11 @@ import msgspec
 import uvicorn
 import viser
 from fastapi import FastAPI, Request, Response
+from fastapi.exception_handlers import http_exception_handler
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import FileResponse, JSONResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
+from starlette.exceptions import HTTPException
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import ASGIApp
 
@@ -32,6 +35,7 @@ from studio.api.designs import designs_router, imports_router
 from studio.api.desks import desks_router
 from studio.api.docs import docs_router
 from studio.api.events import events_router
+from studio.api.films import films_router
 from studio.api.messages import MAX_BODY, Health, gives, reply
 from studio.api.news import news_router
 from studio.api.recorded import recorded_router
@@ -46,7 +50,10 @@ from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
 from studio.browser import open_in_browser
 from studio.desks import Desks, Presenting
 from studio.evaluator import Evaluator, EvaluatorError
+from studio.evolutions import Evolutions
 from studio.export.bundle import Bundle, build_bundle
+from studio.filming import Films
+from studio.memory import map_large_blocks
 from studio.new_run import Branch, StartRun
 from studio.news import News
 from studio.patience import PatientProtocol
@@ -115,7 +122,7 @@ class _GuardedApp(FastAPI):
         return Prefixed(Guard(compressed, self.state.access), settings.root_path, settings.proxies)
 
 
-def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: Album) -> Desks:
+def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: Album, films: Films) -> Desks:
     """Return the viewers of all browsers, with what their users ask for passed on to the runs."""
 
     def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
@@ -143,6 +150,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
             family=lambda run_id: tree_of(run_id, runs.parents()),
             album=album,
             others=runs,
+            films=films,
             recordings=runs.recordings,
         )
         if 0 < client.camera.image_width < NARROW_PAGE:
@@ -169,20 +177,18 @@ def create_app(
     *,
     runs: Runs | None = None,
     launcher: Slurm | None = None,
-    desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album], Shows] = make_desks,
+    desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album, Films], Shows] = make_desks,
 ) -> FastAPI:
-    """Return the application.
+    """Return the application. New runs are started by `launcher`, by default as processes of this machine.
 
     `app.state` holds `settings`, `access`, `audience`, `stopping`, `runs`, `evaluator` and, while it runs, `viser` and
     `desks`.
-
-    New runs are started by `launcher`, by default as processes of this machine.
     """
     reserve, report, evaluator = Reserve(), LiveReport(settings.runs), Evaluator()
     what_ifs = WhatIfs(evaluator)
     watched = runs or Runs(settings.runs, reserve.spawn, launcher, settings.trainers)
     thumbnails = Thumbnails()
-    album = Album(watched, thumbnails)
+    album, films = Album(watched, thumbnails), Films(lambda run_id: watched.get(run_id).folder.path)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
     access = Access(settings)
     audience = Audience(access.invitation)
@@ -194,13 +200,14 @@ def create_app(
         with contextlib.ExitStack() as ends:
             ends.callback(report.close)
             ends.callback(evaluator.close)
+            ends.callback(films.close)
             if runs is None:
                 ends.callback(reserve.close)
                 if launcher is None:
                     reserve.load()
             app.state.viser = GuardedViser()
             ends.callback(app.state.viser.stop)
-            app.state.desks, done = desks(app.state.viser.server, watched, what_ifs, album), threading.Event()
+            app.state.desks, done = desks(app.state.viser.server, watched, what_ifs, album, films), threading.Event()
             ends.callback(app.state.desks.stop)
             painter = threading.Thread(
                 target=keep_showing, args=(app.state.desks, watched, done), name="desks", daemon=True
@@ -242,7 +249,8 @@ def create_app(
         news_router(News(watched), boot, stopping),
         desks_router(),
         audience_router(audience),
-        spectators_router(audience, access),
+        films_router(films),
+        spectators_router(audience, access, Evolutions(watched.get)),
         viewer_router(),
         docs_router(),
     ):
@@ -257,7 +265,7 @@ def keep_showing(desks: Shows, runs: Runs, done: threading.Event) -> None:
     while not done.wait(SHOW_INTERVAL):
         with _logged("showing the runs"):
             histories = runs.watched(desks.selected)
-            desks.show(histories, {name: runs.status(history) for name, history in histories.items()}, runs.shown)
+            desks.show(histories, runs.statuses(histories, desks.selected), runs.shown)
             if (asked := runs.take_request()) is not None:
                 desks.turn_to(*asked)
 
@@ -302,6 +310,16 @@ def _add_refusals(app: FastAPI) -> None:
         reasons = [f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']}" for e in error.errors()]
         return JSONResponse({"detail": "; ".join(reasons)}, 422)
 
+    page = (files("studio") / "page" / "missing.html").read_text()
+
+    async def refuse_path(request: Request, error: Exception) -> Response:
+        """Answer a browser that asks for a page that there is not by a page, and everybody else as FastAPI does."""
+        assert isinstance(error, HTTPException)
+        if error.status_code != 404 or "text/html" not in request.headers.get("accept", ""):
+            return await http_exception_handler(request, error)
+        return HTMLResponse(page.replace("{root}", html.escape(request.scope.get("root_path", ""))), 404)
+
+    app.add_exception_handler(HTTPException, refuse_path)
     app.add_exception_handler(RunFolderError, refuse(404))
     app.add_exception_handler(ValueError, refuse(422))
     app.add_exception_handler(RequestValidationError, refuse_parameters)
@@ -336,12 +354,12 @@ def serve(settings: Settings, launcher: Slurm | None = None) -> None:
     except OSError as error:
         print(f"can't listen on {settings.host}:{settings.port}: {error.strerror or error}", file=sys.stderr)  # noqa: T201
         raise SystemExit(1) from None
+    map_large_blocks()
     app = create_app(settings, launcher=launcher)
     access: Access = app.state.access
     audience: Audience = app.state.audience
     name = f"[{settings.host}]" if ":" in settings.host else settings.host
     address = f"http://{name}:{listener.getsockname()[1]}{settings.root_path}/"
-
     mode = "&present=1" if settings.present else ""
 
     def announce() -> None:

@@ -26,6 +26,8 @@ from studio.viewer.scene_copy import SceneCopy, frame_of, removal_of
 
 MOST = 60
 """Largest number of spectators at once."""
+MOST_OFFERED = 8
+"""Number of runs that spectators may look at by themselves: the last ones that were shown since the link was made."""
 SCENES_A_SECOND = 15.0
 """Most often that a spectator's scene is brought up to date; a slow one takes what it can."""
 _HALF_A_FRAME = 0.003
@@ -52,6 +54,8 @@ class Stage(msgspec.Struct, frozen=True, kw_only=True):
     """Whether the presenter's browser has not come yet, is there, or has left."""
     watching: int
     seen: Presented
+    runs: tuple[str, ...] = ()
+    """Runs that a spectator may look at alone: those that were shown since the link was made, the newest first."""
 
 
 class AudienceState(msgspec.Struct, frozen=True, kw_only=True):
@@ -148,6 +152,7 @@ class Audience:
         self._stage = b""
         self._curves = b""
         self._curves_of: tuple[str, int] | None = None
+        self._offered: tuple[str, ...] = ()
         self._moved, self._said, self._came = _Pulse(), _Pulse(), _Pulse()
 
     # --- for the presenter ---
@@ -175,6 +180,7 @@ class Audience:
         """Void the link, and send all spectators away."""
         self._invitation.revoke()
         self._phase, self._scene, self._messages, self._count, self._pose = "waiting", None, [], 0, None
+        self._offered = ()
         self.dismiss(ENDED)
         return self.state
 
@@ -187,6 +193,11 @@ class Audience:
         self._said.beat()
 
     # --- for spectators ---
+
+    @property
+    def offered(self) -> tuple[str, ...]:
+        """Return the runs that were shown since the link was made, the newest first: others are nobody's business."""
+        return self._offered
 
     def take_seat(self, key: str) -> Seat | None:
         """Return the seat of a page that has come, or has come again; None where there is none left."""
@@ -355,7 +366,12 @@ class Audience:
         history: History | None = None
         if presenting is not None:
             self._seen, history = await anyio.to_thread.run_sync(lambda: presenting.viewer.presented)
-        stage = msgspec.json.encode(Stage(phase=self._phase, watching=len(self._seats), seen=self._seen))
+        if history is not None and self._invitation.ticket:  # the link may have been ended meanwhile
+            run = history.folder.id
+            self._offered = (run, *(other for other in self._offered if other != run))[:MOST_OFFERED]
+        stage = msgspec.json.encode(
+            Stage(phase=self._phase, watching=len(self._seats), seen=self._seen, runs=self._offered)
+        )
         curves, of = self._curves, (history.folder.id, len(history.evaluations)) if history else None
         if with_curves and presenting is not None and of != self._curves_of:
             curves = msgspec.json.encode(await anyio.to_thread.run_sync(curves_of, history) if history else None)

@@ -10,7 +10,8 @@ from pathlib import Path
 from morph_core.run_folder import RunFolder, RunFolderError, find_run, list_runs
 from studio.histories import Histories
 from studio.inquest import Inquest
-from studio.study.local import CANCELLED, launcher_of
+from studio.study.launcher import launcher_of
+from studio.study.local import CANCELLED
 from studio.trainers import spawn_trainer
 from studio.waiting import Wait, Waiting
 

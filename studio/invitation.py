@@ -7,6 +7,7 @@ import secrets
 
 from starlette.datastructures import Headers
 
+from morph_core.run_folder import RUN_ID
 from studio.credentials import KEY, cookie_of, same
 
 AUDIENCE = "/audience"
@@ -16,6 +17,7 @@ ALLOWED = (
     ("GET", re.compile(f"{AUDIENCE}/events")),
     ("PUT", re.compile(f"{AUDIENCE}/seats/{KEY.pattern}")),
     ("GET", re.compile(f"{AUDIENCE}/viewer/{KEY.pattern}/")),
+    ("GET", re.compile(f"{AUDIENCE}/runs/{RUN_ID.pattern}/evolution\\.html")),
     ("WEBSOCKET", re.compile(f"{AUDIENCE}/viewer/{KEY.pattern}")),
     ("GET", re.compile(r"/page/(audience\.css|audience\.js|icon\.svg|theme\.js|vendor/charts\.js)")),
 )

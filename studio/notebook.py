@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from morph_core.curves import Curves
-from morph_core.durable import write_file
+from morph_core.durable import where_written, write_file
 from morph_core.history import History
 from morph_core.hypertext import table
 from morph_core.protocol import Stop
@@ -219,7 +219,7 @@ def _framed(title: str, page: bytes, height: int, file: str | Path | None) -> Vi
     """Return a page of ours in an iframe, whose scripts can reach nothing of the notebook's."""
     source = f'srcdoc="{escape(page.decode())}"' if file is None else f'src="{escape(Path(file).as_posix())}"'
     if file is not None:
-        write_file(at_home(file), page)
+        write_file(where_written(at_home(file)), page)
     look = f"width:100%;height:{height}px;border:1px solid #8a929c"
     return View(f'<iframe title="{title}" sandbox="allow-scripts" style="{look}" {source}></iframe>')
 

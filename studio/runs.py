@@ -2,7 +2,7 @@
 
 import shutil
 import subprocess
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
@@ -149,6 +149,17 @@ class Runs:
                 with suppress(RunFolderError):
                     histories[name] = self.get(name)
         return histories
+
+    def statuses(
+        self, histories: Mapping[str, History], selected: Collection[str] = ()
+    ) -> dict[str, tuple[Status, str]]:
+        """Return what runs do and why; of those that were `selected` and can't be read, why not."""
+        said = {name: self.status(history) for name, history in histories.items()}
+        for name in set(selected).difference(histories):
+            with suppress(RunFolderError):
+                line = self.summary(name)
+                said[name] = line.status, line.reason
+        return said
 
     def show(self, run_id: str, iteration: int | None = None) -> None:
         """Let every browser show this run, and the design of an iteration; RunFolderError if there is no such one."""

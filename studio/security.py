@@ -29,7 +29,7 @@ from studio.visits import is_visit
 _log = logging.getLogger(__name__)
 OPEN_PATHS = frozenset({"/healthz"})
 """Paths that need no token. Host and Origin are checked for them too."""
-PAGES = ("/", "/study")
+PAGES = ("/", "/runs", "/study", "/docs")
 """Pages for people: a browser that is not known yet is asked there for the token, and a link with one leads there."""
 
 PAGE_CSP = (

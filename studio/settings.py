@@ -1,5 +1,6 @@
 """The settings of the server: where it listens, whom it lets in, where the runs lie."""
 
+import errno
 import ipaddress
 import os
 from dataclasses import dataclass, field
@@ -18,8 +19,8 @@ def default_port() -> int:
     """Return PORT from the environment, or 8000; raise ValueError if it is no number."""
     text = os.environ.get("PORT") or "8000"
     if not text.isdecimal():
-        raise ValueError(f"PORT must be a whole number from 0 to 65535, not {text!r}")
-    return int(text)
+        raise ValueError(f"PORT must be a whole number from 0 to 65535, not {text[:40]!r}")
+    return int(text[:9])
 
 
 def default_runs() -> Path:
@@ -28,11 +29,15 @@ def default_runs() -> Path:
 
 
 def at_home(path: str | Path) -> Path:
-    """Return a path with ~ or ~user at its start replaced by that home; as it is where there is no such home."""
+    """Return a path with ~ or ~user at its start replaced by that home; FileNotFoundError where there is none.
+
+    A folder named ~ would sooner or later be removed by somebody who means it, and loses their home.
+    """
     try:
         return Path(path).expanduser()
     except RuntimeError:
-        return Path(path)
+        why = "there is no such home; a name that begins with ~ is written ./~name"
+        raise FileNotFoundError(errno.ENOENT, why, str(path)) from None
 
 
 def default_root_path() -> str:
@@ -64,7 +69,11 @@ def _is_guessable(token: str) -> bool:
 
 
 def _state() -> Path:
-    return at_home(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "morph-studio"
+    try:
+        home = Path.home()
+    except RuntimeError:  # a user whom this machine does not know: nothing can be kept
+        home = Path(os.devnull)
+    return at_home(os.environ.get("XDG_STATE_HOME") or home / ".local" / "state") / "morph-studio"
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import html
 import logging
 from collections.abc import AsyncIterator
 from importlib.resources import files
@@ -12,7 +13,7 @@ import anyio
 import viser
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi import Path as InPath
-from fastapi.responses import FileResponse, StreamingResponse
+from fastapi.responses import FileResponse, HTMLResponse, StreamingResponse
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from morph_core.run_folder import RunFolderError
@@ -20,8 +21,9 @@ from studio.api.messages import Follow, body_of, gives, gives_file, reply, takes
 from studio.audience import ENDED, FULL, Audience, said
 from studio.bridge import admit, client_page
 from studio.credentials import KEY
+from studio.evolutions import Evolutions
 from studio.invitation import AUDIENCE
-from studio.security import Access
+from studio.security import Access, style_digest
 from studio.seldom import Seldom
 
 ALLOWED = frozenset({"ViewerCameraMessage"})
@@ -33,12 +35,19 @@ _BREATH = 1 / 30
 _SLOWEST = 20.0
 """Seconds for one frame after which a spectator who does not take it is given up."""
 _ONLY_SCENE = b"#root [class*=dock],#root .mantine-Paper-root,.mantine-Affix-root{display:none!important}"
+_ALONE = "sandbox allow-scripts; frame-ancestors 'self'"
+"""Policy of a page that a spectator looks at alone, beside its own, which lets nothing in: it is of no origin, so that
+it can't even send the spectator's cookie."""
+_SENTENCE_STYLE = (
+    ":root{color-scheme:light dark}body{font:16px/1.5 system-ui,sans-serif;max-width:34rem;margin:18vh auto;"
+    "padding:0 1.5rem}"
+)
 
 _log = logging.getLogger(__name__)
 Key = Annotated[str, InPath(pattern=f"^{KEY.pattern}$", description="Key that the page has drawn at random")]
 
 
-def spectators_router(audience: Audience, access: Access) -> APIRouter:
+def spectators_router(audience: Audience, access: Access, evolutions: Evolutions) -> APIRouter:
     """Return the routes of spectators; each is named in `studio.invitation` too, or no spectator gets there."""
     router = APIRouter(prefix=AUDIENCE, tags=["audience"])
     page, client = Path(str(files("studio") / "page" / "audience.html")), client_page(_ONLY_SCENE)
@@ -89,6 +98,22 @@ def spectators_router(audience: Audience, access: Access) -> APIRouter:
         audience.follow(seat, wish.follows)
         return reply(wish)
 
+    @router.get(
+        "/runs/{run_id}/evolution.html",
+        response_class=Response,
+        responses=gives_file("text/html", "One page that asks for nothing: bodies, traces and episodes"),
+        summary="The whole evolution of a run that the presenter has shown, for a spectator to look at alone",
+    )
+    async def evolution(run_id: str) -> Response:
+        if run_id not in audience.offered:
+            return _sentence("The presenter has not shown this run. Choose another one above.", 404)
+        try:
+            content = await evolutions.page(run_id)
+        except (ValueError, OSError) as error:
+            return _sentence(f"This run can't be looked at now: {error}.", 404)
+        headers = {"Content-Security-Policy": _ALONE, "Content-Encoding": "identity"}  # what it carries is compressed
+        return Response(content, media_type="text/html; charset=utf-8", headers=headers)
+
     @router.websocket("/viewer/{key}")
     async def watch(browser: WebSocket, key: str) -> None:
         seat, version = audience.seat(key), f"viser-v{viser.__version__}"
@@ -125,6 +150,16 @@ def spectators_router(audience: Audience, access: Access) -> APIRouter:
             await browser.close(4403 if seat.ended else 1000, seat.ended)
 
     return router
+
+
+def _sentence(words: str, status: int) -> Response:
+    """Return a page that says a sentence in the place of another one."""
+    policy = f"default-src 'none'; style-src '{style_digest(_SENTENCE_STYLE)}'; {_ALONE}"
+    content = (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>MORPH Studio</title>'
+        f"<style>{_SENTENCE_STYLE}</style><p>{html.escape(words)}</p></html>"
+    )
+    return HTMLResponse(content, status, {"Content-Security-Policy": policy})
 
 
 def aspect_of(message: bytes | None) -> float | None:

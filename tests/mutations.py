@@ -740,11 +740,12 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/pace.py", "core/test_pace.py",
         ("_mean(self._plain) or self._first", "self._first"),
-        ("if self._first is None:\n            self._first = seconds\n        elif searched:",
-         "self._first = self._first or seconds\n        if searched:"),
+        ("plain = seconds - (searching or 0.0)", "plain = seconds"),
+        ("            self._first = plain\n        else:\n            self._plain",
+         "            self._first = plain\n        if True:\n            self._plain"),
         ("values[1 - most :]", "values"),
-        ("elif searched:", "elif False:"),
-        ("(iterations - searches)", "iterations"),
+        ("if searching is not None:", "if False:"),
+        ("search * searches", "0.0"),
         ("_mean(self._evaluated) or expected", "_mean(self._evaluated) or 0.0"),
         ("_mean(self._evaluated) or expected", "expected"),
     ),
@@ -854,6 +855,16 @@ MUTANTS: tuple[Mutant, ...] = (
         ("np.minimum(apart[off], prints[other]", "np.maximum(apart[off], prints[other]"),
         ("inside.append(apart[~left_out])", "inside.append(apart[left_out])"),
         ("outside.append(np.min([_depth", "outside.append(np.max([_depth"),
+        ("np.nonzero(at_least < apart[:, None])", "np.nonzero(at_least > apart[:, None])"),
+        ("% 2 == 1 for point in points", "% 2 == 0 for point in points"),
+    ),
+    *_of(
+        "studio/export/layout.py", "studio/test_plates.py::test_a_link_lies_across_the_bed_before_it_is_cut",
+        ("(row if fits else left).append(body)", "left.append(body)"),
+    ),
+    *_of(
+        "studio/export/trial.py", "studio/test_export_proof.py",
+        ("Outcome(None, [_failed(told)], None)", "Outcome(None, [], None)"),
     ),
     # --- what a browser may say ---
     *_of(
@@ -883,6 +894,36 @@ MUTANTS: tuple[Mutant, ...] = (
         ("self.dismiss(ENDED)", "pass"),
         ("known < self._count", "False"),
         ("if seat.follows and", "if"),
+        ("self._offered = ()\n        self.dismiss", "self.dismiss"),
+    ),
+    *_of(
+        "studio/spectators.py",
+        "studio/test_audience.py::test_a_spectator_looks_alone_at_runs_that_were_shown_and_at_no_others",
+        ("if run_id not in audience.offered", "if False"),
+        ('_ALONE = "sandbox allow-scripts; ', '_ALONE = "'),
+    ),
+    *_of(
+        "studio/evolutions.py", "studio/test_audience.py::test_the_page_of_a_run_is_written_once_for_all",
+        ("known is None or known.is_due(history)", "True"),
+        ("history.iteration != self.iteration and age", "age"),
+        ("len(self._written) > KEPT", "False"),
+    ),
+    # --- films ---
+    *_of(
+        "studio/filming.py", "studio/test_filming.py",
+        ("if self._making is not None:\n                raise", "if False:\n                raise"),
+        ("_end(self._making.child)", "pass"),
+        ("self._state.number == number and", ""),
+    ),
+    *_of(
+        "studio/film/__main__.py", "studio/test_filming.py",
+        ("os.nice(19)", "os.nice(0)"),
+        ("if reel.frames > MOST_FRAMES", "if False"),
+    ),
+    *_of(
+        "studio/viewer/pending.py", "studio/test_steering.py::test_each_answer_is_that_to_one_command_before_it",
+        ("if i >= first and answered == command", "if answered == command"),
+        ("left.append((command, first))", "left.append((command, asked_at))"),
     ),
     *_of(
         "studio/elements.py", "studio/test_bridge.py",
@@ -890,7 +931,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/viewer/viewer.py", "studio/test_recordings.py",
-        (" if run_id in self._recordings else words", " if False else words"),
+        (" if run_id in recordings else words", " if False else words"),
     ),
     *_of(
         "studio/bridge.py", "studio/test_bridge.py::test_only_allowed_kinds_are_admitted",
@@ -900,6 +941,130 @@ MUTANTS: tuple[Mutant, ...] = (
         "studio/bridge.py",
         "studio/test_bridge.py::test_what_a_viewer_does_not_need_is_dropped_and_the_connection_lives",
         ('content if set(content["updates"]) <= {"value"} else None', "content"),
+    ),
+    # --- films and pages of an evolution ---
+    *_of(
+        "studio/film/plan.py",
+        "studio/test_film.py::test_a_film_shows_a_run_as_far_as_it_had_come "
+        "studio/test_film.py::test_an_episode_is_played_from_its_first_posture_to_its_last "
+        "studio/test_film.py::test_an_evolution_ends_with_an_episode_of_its_best_design "
+        "studio/test_film.py::test_a_caption_says_the_success_its_episodes_and_when_it_was_measured",
+        ('iteration, "right")) - 1', 'iteration, "left")) - 1'),
+        ("if e.iteration <= self.side.until]", "]"),
+        ("min(round(moment.time * FRAMES_PER_SECOND), story.episode.frames - 1)", "0"),
+        ("return Moment(act, self.last, LONGEST)", "return Moment(act, self.last, 0.0)"),
+        ("best.iteration if best and best.iteration in recorded else max(recorded, default=None)",
+         "max(recorded, default=None)"),
+    ),
+    *_of(
+        "studio/film/reel.py", "studio/test_film.py::test_parts_of_another_film_are_not_taken",
+        ('.get("digest") == digest', '.get("digest")'),
+        ("said.update(story.phis.tobytes())", "pass"),
+        ("if path.name == _PLAN or path.suffix in", "if True or path.suffix in"),
+        ("if not self.path(part).exists()]", "]"),
+    ),
+    *_of(
+        "studio/film/lens.py", "studio/test_film.py::test_a_lens_sees_all_points_as_large_as_they_can_be",
+        ("min(width / sides[0], height / sides[1])", "max(width / sides[0], height / sides[1])"),
+    ),
+    *_of(
+        "studio/film/words.py",
+        "studio/test_film.py::test_a_caption_says_the_success_its_episodes_and_when_it_was_measured",
+        ("before = [e for e in story.evaluations if e.iteration <= iteration]", "before = story.evaluations"),
+        ('"" if measured == iteration else', '"" if True else'),
+    ),
+    *_of(
+        "studio/show/evolution.py", "studio/test_evolution_page.py",
+        ("EPISODE_BYTES // len(histories)", "EPISODE_BYTES"),
+        ("played[-1:]]", "played[:0]]"),
+        ("_body(task, phi))", "_body(task, designs.phi[0]))"),
+    ),
+    *_of(
+        "studio/show/course.py", "studio/test_evolution_page.py",
+        ('side="right") - 1', 'side="left")'),
+        ("(designs.phi[designs.of_row] == phi).all(1)", "(designs.phi[designs.of_row] == phi).any(1) | True"),
+    ),
+    *_of(
+        "studio/show/bodies.py", "studio/test_evolution_page.py",
+        ("np.where(turned, -1, 1)", "np.where(turned, 1, 1)"),
+        ("np.where(np.isfinite(self.contact), ", "np.where(True, "),
+        ("max(2, budget // size) if size", "len(recorded) if size"),
+    ),
+    *_of(
+        "studio/show/thin.py", "studio/test_evolution_page.py",
+        ("dict.fromkeys([0, count - 1, *marked])", "dict.fromkeys([*marked, 0, count - 1])"),
+        ("most - len(kept)", "most"),
+    ),
+    # --- in a notebook ---
+    *_of(
+        "studio/notebook.py", "studio/test_notebook.py",
+        ("escape(page.decode())", "page.decode()"),
+        ('sandbox="allow-scripts"', 'sandbox="allow-scripts allow-same-origin"'),
+        ('end is None or end.status == "failed"', "end is None"),
+        ("self.history.poll()\n        return Design(", "return Design("),
+        ("            asked = True", "            pass"),
+    ),
+    # --- the runs page, recorded runs and the gallery ---
+    *_of(
+        "studio/shelf/marks.py",
+        "studio/test_shelf.py studio/test_timeline.py::test_no_more_designs_are_starred_than_are_allowed "
+        "studio/test_timeline.py::test_designs_are_starred_by_the_api_and_only_those_that_are_there",
+        ("set(marks.starred_designs) - {iteration}", "set(marks.starred_designs)"),
+        ("if value is not msgspec.UNSET}", "}"),
+        ("len(designs) > MOST_STARS", "False"),
+    ),
+    *_of(
+        "studio/shelf/outcome.py", "studio/test_shelf.py",
+        ("key=lambda e: (e.sampled_success, e.sampled_return)", "key=lambda e: e.sampled_success"),
+        ("if e.iteration <= start.iteration]", "]"),
+        ("ends = [*(i - 1 for i", "ends = [*(i for i"),
+        ("_EVERY_ITERATION in line and _EVERY_ITERATION in following", "_EVERY_ITERATION in line"),
+    ),
+    *_of(
+        "studio/shelf/thumbnails.py", "studio/test_shelf.py",
+        ("self._kept.move_to_end(key)", "pass"),
+        ("self._size > self._most_bytes", "False"),
+    ),
+    *_of(
+        "studio/shelf/traces.py",
+        "studio/test_shelf.py::test_runs_of_one_method_have_a_mean_where_all_of_them_were_evaluated "
+        "studio/test_shelf.py::test_thinned_traces_keep_ends_highs_and_lows",
+        ("begin, end = max(run[0]", "begin, end = min(run[0]"),
+        ("values[stretch].argmax(0)", "values[stretch].argmin(0)"),
+        ("tail = (1 - CONFIDENCE) / 2", "tail = (1 - CONFIDENCE) * 8"),
+    ),
+    *_of(
+        "studio/shelf/trash.py", "studio/test_shelf.py",
+        ("entry[1].deleted, reverse=True", "entry[1].deleted"),
+        (" and moment >= trashed.deleted + AT_LEAST", ""),
+        ("    with hold(folder):\n        durable", "    if True:\n        durable"),
+        ("if m and not path.is_symlink()]", "if m]"),
+    ),
+    *_of(
+        "studio/recordings.py",
+        "studio/test_recordings.py::test_there_is_one_of_each_task_and_all_are_small_and_in_the_wheel "
+        "studio/test_recordings.py::test_it_refuses_to_be_changed_and_says_what_to_do "
+        "studio/test_recordings.py::test_one_that_nothing_was_measured_of_is_refused",
+        ("if run_id in self:\n            raise", "if False:\n            raise"),
+        ("not self.history.progress or not self.origin.episodes", "not self.history.progress"),
+        (" and run_id in self.names()", ""),
+    ),
+    *_of(
+        "studio/viewer/gallery.py",
+        "studio/test_timeline.py::test_a_gallery_has_the_starred_designs_first_and_a_few_over_all_iterations "
+        "studio/test_timeline.py::test_a_gallery_is_drawn_when_asked_for_and_a_click_turns_to_a_design",
+        ("iteration in first, ", "False, "),
+        ("sorted(others - set(first))", "sorted(others)"),
+        ("[i for i in success if i in known] or list(known)", "list(known)"),
+        ("in known][:MOST_STARRED]", "in known]"),
+    ),
+    *_of(
+        "studio/listing.py",
+        "studio/test_listing.py studio/test_shelf.py::test_marks_are_read_anew_when_somebody_else_has_written_them",
+        ("known[0] != changed_at", "False"),
+        ("replace(known, status=status, reason=reason)", "replace(known)"),
+        ('line.status != "unreadable" or (self._runs / line.id).exists()', "True"),
+        ("reason[:LONGEST_REASON]", "reason"),
     ),
     # --- the report of a study ---
     *_of(

@@ -2,20 +2,23 @@
 
 import re
 import shlex
+import signal
 import subprocess
 import sys
-import sysconfig
+import time
 import tomllib
 from pathlib import Path
 
 import pytest
+
+from studio.cli import run
+from tests import forked
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 USE = (ROOT / "docs" / "use.md").read_text()
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 EXAMPLE = ROOT / "examples" / "ten_lines.py"
-MORPH_STUDIO = Path(sysconfig.get_path("scripts")) / "morph-studio"
 
 
 def _blocks(text: str, language: str) -> list[str]:
@@ -52,12 +55,14 @@ def test_readme_and_docs_show_every_command() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_that_is_shown_exists_with_its_options(command: str) -> None:
+def test_every_command_that_is_shown_exists_with_its_options(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     words = shlex.split(command)
-    ended = subprocess.run([MORPH_STUDIO, words[1], "--help"], capture_output=True, text=True, timeout=60)
-    assert ended.returncode == 0, ended.stderr
+    with pytest.raises(SystemExit) as ended:
+        run([words[1], "--help"])
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
     for option in (word for word in words if word.startswith("--")):
-        assert option in ended.stdout
+        assert option in shown
 
 
 def test_the_readme_stays_one_screen() -> None:
@@ -77,15 +82,13 @@ def test_the_docs_show_the_example_as_it_is() -> None:
 
 
 def test_the_example_prints_a_line_per_iteration() -> None:
-    process = subprocess.Popen([sys.executable, str(EXAMPLE)], stdout=subprocess.PIPE, text=True, cwd=ROOT)
-    assert process.stdout is not None
-    try:
-        first = process.stdout.readline()
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
-    assert re.fullmatch(r" +1  success \d\.\d\d  links( \d\.\d\d){5} m\n", first)
+    example = forked.python(EXAMPLE.read_text())
+    deadline = time.monotonic() + 200
+    while not (first := example.said("output").partition("\n")[0]) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    example.send_signal(signal.SIGKILL)
+    assert example.wait() == -signal.SIGKILL, example.said("errors")
+    assert re.fullmatch(r" +1  success \d\.\d\d  links( \d\.\d\d){5} m", first)
 
 
 def test_what_the_docs_show_of_gymnasium_runs() -> None:

@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import sys
-import sysconfig
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -17,9 +16,9 @@ import pytest
 from morph_core.methods.proxy import Morph
 from morph_core.spread import Spread
 from morph_core.state import start
+from tests import forked
 from tests.packages import OWN_ROBOT, ROOT, beside, install, python, write_package
 
-MORPH_STUDIO = Path(sysconfig.get_path("scripts")) / "morph-studio"
 TINY = ("--trajectories", "8", "--ppo.minibatches", "1", "--ppo.epochs", "1", "--evaluation.episodes", "4")
 
 BROKEN = """
@@ -84,9 +83,8 @@ def morph_studio(site: Path, tmp_path: Path) -> Run:
     """Run `morph-studio` beside the example, and beside what lies in other folders."""
 
     def run(*words: str | Path, sites: tuple[Path, ...] = ()) -> subprocess.CompletedProcess[str]:
-        command = [str(word) for word in (MORPH_STUDIO, *words)]
-        env = beside(site, *sites) | {"COLUMNS": "80", "MORPH_RUNS": str(tmp_path / "runs")}
-        return subprocess.run(command, env=env, capture_output=True, text=True, timeout=250)
+        environment = beside(site, *sites) | {"COLUMNS": "80", "MORPH_RUNS": str(tmp_path / "runs")}
+        return forked.morph_studio(*map(str, words), environment=environment, seconds=250)
 
     return run
 
@@ -206,8 +204,10 @@ print(env.spec.max_episode_steps, env.observation_space.shape, env.render().shap
 
 def test_the_task_passes_the_contract_of_every_task(site: Path) -> None:
     suite = ROOT / "tests" / "core" / "test_task_contract.py"
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", "0", suite, "-k", "own_throw"]
-    ended = subprocess.run(command, env=beside(site), cwd=ROOT, capture_output=True, text=True, timeout=200)
+    options = ["-q", "-o", "addopts=", "-p", "no:cacheprovider", "-p", "pytest_timeout", "-k", "own_throw"]
+    environment = beside(site) | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}  # they take longer to load than to run
+    command = [sys.executable, "-m", "pytest", *options, suite]
+    ended = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=200)
     assert ended.returncode == 0, ended.stdout
     assert int(re.findall(r"(\d+) passed", ended.stdout)[0]) > 10
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.packages import ROOT, python, write_package
+from tests import forked
+from tests.packages import ROOT, beside, python, write_package
 
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 FILES = dict(re.findall(r"^```python\n# robots/(\w+)\.py\n(.*?)^```$", CONTRIBUTING, re.DOTALL | re.MULTILINE))
@@ -44,11 +45,6 @@ ADDED = [("searches", "compass", {"search": "compass"}), ("explorations", "signs
 """Where one new file goes, the name of what it adds, and how it is asked for."""
 
 
-def ran(runs: list[tuple[str, str, dict[str, object]]], site: Path) -> list[str]:
-    """Return what two iterations of each of these runs print, in one process that sees what is in `site`."""
-    return python(RUN.format(runs=runs), site).splitlines()
-
-
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which the package of the recipes is installed."""
@@ -72,7 +68,10 @@ def test_every_entry_point_of_the_recipes_has_its_file() -> None:
 @pytest.fixture(scope="module")
 def shown(site: Path) -> list[str]:
     """What the runs of the recipes print."""
-    return ran([(task, method, settings) for task, method, settings, _ in RUNS], site)
+    runs = [(task, method, settings) for task, method, settings, _ in RUNS]
+    program = forked.python(RUN.format(runs=runs), beside(site))
+    assert program.wait() == 0, program.said("errors")
+    return program.said("output").splitlines()
 
 
 @pytest.mark.parametrize(("run", "rules"), [(i, rules) for i, (*_, rules) in enumerate(RUNS)])
@@ -86,7 +85,8 @@ def test_in_this_repository_a_new_file_is_all_it_takes(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "morph_core", tmp_path / "morph_core", ignore=shutil.ignore_patterns("__pycache__"))
     for folder, name, _ in ADDED:
         (tmp_path / "morph_core" / folder / f"{name}.py").write_text(FILES[name])
-    shown = ran([("reacher", "morph", settings) for *_, settings in ADDED], tmp_path)
+    runs = [("reacher", "morph", settings) for *_, settings in ADDED]
+    shown = python(RUN.format(runs=runs), tmp_path).splitlines()
     for (_, name, _), line in zip(ADDED, shown, strict=True):
         said, did = line.split(" | ")
         assert name in said

@@ -127,7 +127,7 @@ def check_environments(count: Any) -> int:
 
 
 def _numbers(name: str, value: Any) -> np.ndarray:
-    try:
-        return np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be numbers, not {value!r}") from None
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
+        if np.asarray(value).dtype.kind not in "SUc" and not np.ma.is_masked(value):
+            return np.array(value, dtype=float)
+    raise ValueError(f"{name} must be numbers, not {value!r}")

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from morph_core.envs.view import View
-from morph_core.task import Hardware, Task
+from morph_core.task import Hardware, Task, Transition
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Episodes:
         """Execute actions (N, action_size)."""
         before = self._s
         transition = self.task.step(self._hw_phy(_one_or_all(self._phi)), before, action)
-        diverged = transition.diverged
+        diverged = transition.diverged | ~_is_sound(transition)
         self._s = np.where(diverged[:, None], before, transition.s)
         self._steps = self._steps + 1
         terminated = transition.terminated & ~diverged
@@ -90,6 +90,12 @@ class Episodes:
         if key not in self._views:
             self._views[key] = View(self.task, phi, self._hw_phy(phi))
         return self._views[key].frame(self._s[i])
+
+
+def _is_sound(transition: Transition) -> np.ndarray:
+    """Tell of each episode (N,) whether its state is a number that can be observed, and its reward one at all."""
+    largest = np.abs(transition.s).max(1, initial=0.0)  # NaN where one is
+    return (largest < np.finfo(np.float32).max) & np.isfinite(transition.reward)
 
 
 def _one_or_all(phi: np.ndarray) -> np.ndarray:

@@ -71,6 +71,10 @@ class Morph(Method):
     def search_interval(self) -> int:
         return self.design_interval
 
+    @property
+    def freezes(self) -> bool:
+        return self.freeze_success > 0
+
     def prepare(self, task: Task, state: "State") -> None:
         state.fit_proxy(task)
 

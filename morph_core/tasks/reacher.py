@@ -228,7 +228,7 @@ class Reacher(Settings, Task):
 
     @property
     def start(self) -> np.ndarray:
-        """(5,) rad: joint angles of the start posture."""
+        """Joint angles (5,) in rad of the start posture."""
         return np.diff(np.deg2rad(self.walls.start_headings), prepend=0.0)
 
     @cached_property
@@ -238,7 +238,7 @@ class Reacher(Settings, Task):
 
     @property
     def action_units(self) -> np.ndarray:
-        """(5,) rad: the largest change of each joint angle."""
+        """Largest change (5,) in rad of each joint angle in a control step."""
         return np.full(LINKS, self.action_scale)
 
     @property

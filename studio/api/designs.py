@@ -12,7 +12,7 @@ from morph_core.catalogue import make_task
 from morph_core.forces import contact_forces
 from morph_core.history import History
 from morph_core.protocol import InjectDesign, Which
-from morph_core.run_folder import RunFolderError, episode_bytes, read_episode
+from morph_core.run_folder import ITERATION, RunFolderError, episode_bytes, read_episode
 from morph_core.tasks.servos import SERVOS
 from studio.api.messages import (
     Accepted,
@@ -87,7 +87,7 @@ def episode_of(history: History, iteration: str, which: Which | None = None, *, 
     """
     folder = history.folder
     recorded = folder.episode_iterations()
-    if not iteration.isdecimal() or len(iteration) > 12 or int(iteration) not in recorded:
+    if not ITERATION.fullmatch(iteration) or int(iteration) not in recorded:
         choices = ", ".join(map(str, recorded)) or "none yet"
         raise RunFolderError(f"{folder.id} has no episode of iteration {iteration[:40]}; choose from: {choices}")
     if which is None and not forces:

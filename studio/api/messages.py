@@ -12,6 +12,7 @@ from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, Evaluation, 
 from studio.audience import AudienceState
 from studio.credentials import KEY
 from studio.fields import Field
+from studio.filming import FilmState, FilmWish
 from studio.lines import Row, Summary
 from studio.log import LogEntry
 from studio.moments import Moment
@@ -252,7 +253,7 @@ def reply(message: object, status: int = 200) -> Response:
 def versioned(answer: Response, known: str | None) -> Response:
     """Return an answer with its version as ETag, or only that it has not changed where `known` is If-None-Match."""
     version = f'"{hashlib.sha256(answer.body).hexdigest()[:32]}"'
-    if version in [tag.strip().removeprefix("W/") for tag in (known or "").split(",")]:
+    if {version, "*"} & {tag.strip().removeprefix("W/") for tag in (known or "").split(",")}:
         answer = Response(status_code=304)
     answer.headers["ETag"] = version
     return answer
@@ -261,7 +262,7 @@ def versioned(answer: Response, known: str | None) -> Response:
 _KINDS = (
     StartRun, ResumeRun, TaskList, Accepted, Summary, RunState, LogEntry, Moment, Metrics, Designs, Checked, Health,
     Refusal, AnyCommand, AnyEvent, Wish, WhatIf, SweepPoint, Row, Marks, MarksChange, Trashed, Purged, Overlay,
-    View, Seen, Bulletin, RecordedRun, AudienceState, Invite, Follow,
+    View, Seen, Bulletin, RecordedRun, AudienceState, Invite, Follow, FilmWish, FilmState,
 )  # fmt: skip
 _REF = "#/components/schemas/{name}"
 

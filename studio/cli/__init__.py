@@ -1,13 +1,12 @@
 """The command line `morph-studio`, one module for each of its commands."""
 
 import importlib
-import os
 import platform
 import sys
 from collections.abc import Sequence
 
 from studio.cli.arguments import UsageError
-from studio.cli.output import bear_any_encoding, complain, say
+from studio.cli.output import all_written, bear_any_encoding, complain, open_streams, say
 
 COMMANDS = {
     "serve": "open the studio in the browser",
@@ -39,20 +38,34 @@ name. A first run: morph-studio serve
 
 def main() -> None:
     """Run the command of `sys.argv` and exit: 0 done, 1 failed, 2 asked for the impossible, 130 stopped by Ctrl-C."""
+    open_streams()
     bear_any_encoding()
     try:
         code = run(sys.argv[1:])
-        sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     except KeyboardInterrupt:
         code = 130
-    sys.exit(code)
+    except SystemExit as end:  # of the parser, which has printed its help
+        code = end.code
+    sys.exit(code if all_written() else code or 1)
 
 
 def run(words: Sequence[str]) -> int:
     """Run one command and return its exit status."""
+    try:
+        return _obey(words)
+    except UsageError as error:
+        complain(f"morph-studio: {error}")
+        return 2
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # a folder that is read-only, a disk that is full
+        complain(f"morph-studio: {words[0] if words else 'help'}: {error}")
+        return 1
+
+
+def _obey(words: Sequence[str]) -> int:
     if not words or words[0] in ("-h", "--help"):
         commands = "\n".join(f"  {name:10}{does}" for name, does in COMMANDS.items())
         (say if words else complain)(HELP.format(commands=commands).rstrip())
@@ -61,18 +74,9 @@ def run(words: Sequence[str]) -> int:
         say(version())
         return 0
     command, *rest = words
-    try:
-        if command not in COMMANDS:
-            raise UsageError(f'unknown command "{command[:40]}"; choose from: {", ".join(COMMANDS)}')
-        return importlib.import_module(f"studio.cli.{_MODULES.get(command, command)}").main(rest)
-    except UsageError as error:
-        complain(f"morph-studio: {error}")
-        return 2
-    except BrokenPipeError:
-        raise
-    except OSError as error:  # a folder that is read-only, a disk that is full
-        complain(f"morph-studio: {command}: {error}")
-        return 1
+    if command not in COMMANDS:
+        raise UsageError(f'unknown command "{command[:40]}"; choose from: {", ".join(COMMANDS)}')
+    return importlib.import_module(f"studio.cli.{_MODULES.get(command, command)}").main(rest)
 
 
 def version() -> str:

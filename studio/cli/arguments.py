@@ -132,6 +132,7 @@ _PLAIN = (
     (r"no type matching (?:\{None\}\|)?(\w+) could be instantiated from \[(.*?)\].*", r"\2 is no \1"),
     (r"invalid literal for int\(\) with base 10: (.*)", r"\1 is no whole number"),
     (r"could not convert string to float: (.*)", r"\1 is no number"),
+    (r"Exceeds the limit .* for integer string conversion.*", "it has too many digits"),
     (r"\bINT\b", "whole number"),
 )
 """Patterns of what the parser says, each with the same in plain words."""

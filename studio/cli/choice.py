@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from morph_core.history import History
-from morph_core.run_folder import RunFolder, RunFolderError, find_run
+from morph_core.run_folder import ITERATION, RunFolder, RunFolderError, find_run
 from studio.cli.arguments import UsageError
 from studio.settings import at_home
 
@@ -26,7 +26,7 @@ def place_of(runs: Path, word: str, option: str) -> tuple[History, int | None]:
     run, at, iteration = word.rpartition("@")
     if not at or "/" in iteration:
         return open_run(runs, word), None
-    if not iteration.isdecimal():
+    if not ITERATION.fullmatch(iteration):
         raise UsageError(f'{option} takes RUN or RUN@ITERATION, with a whole number, not "{word[:80]}"')
     return open_run(runs, run), int(iteration)
 

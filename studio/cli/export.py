@@ -43,7 +43,7 @@ def main(words: Sequence[str]) -> int:
     arguments = parse(ExportArguments, words, "export")
     from studio.export.bundle import build_bundle, bundle_name, check_formats, default_formats, task_of
     from studio.export.errors import ExportError
-    from studio.export.place import write_bundle
+    from studio.export.place import check_place, write_bundle
     from studio.export.servos import FILE, ServoTable, check_servo, servo_text
 
     history = open_run(arguments.runs, arguments.run)
@@ -59,6 +59,7 @@ def main(words: Sequence[str]) -> int:
         raise UsageError(f"export: {error}") from error
     out = arguments.out or history.folder.exports / bundle_name(history, arguments.design)
     try:
+        check_place(out)
         bundle = build_bundle(history, arguments.design, formats, servo=arguments.servo, printer=printer)
         written = write_bundle(bundle, out)
     except ExportError as error:

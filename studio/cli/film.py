@@ -14,6 +14,7 @@ import tyro
 
 from morph_core.history import History
 from morph_core.protocol import Which
+from morph_core.run_folder import ITERATION
 from studio.cli.arguments import UsageError
 from studio.cli.choice import open_run
 from studio.cli.output import complain, say, write_json
@@ -23,18 +24,12 @@ from studio.settings import at_home
 if TYPE_CHECKING:
     from studio.film.plan import Film
 
-SIZES = {".mp4": (1920, 1080), ".gif": (960, 540)}
-"""Size in pixels of a film that is not asked to have another one."""
-RATES = {".mp4": 30, ".gif": 20}
-"""Frames per second of a film that is not asked to have another rate."""
 HEIGHTS, FPS, JOBS = (240, 2160), (5, 60), (1, 64)
 """What is allowed: the height in pixels, frames per second, and processes."""
 ASPECTS, SIDE_BY_SIDE = (1.25, 2.4), (1.6, 2.8)
 """Smallest and largest width of a film as a multiple of its height, and of one with two scenes side by side."""
 MOST_JOBS = 8
 """Processes that are started unasked, at most: each takes up to half a gigabyte of memory."""
-STILL_SIZE, DPI = "85mm", 300
-"""A still that is not asked to be otherwise is as wide as a column of a journal, and has this many pixels per inch."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +99,7 @@ def write_film(runs: Path, words: Sequence[str], wanted: FilmArguments, *, json:
 def _place(runs: Path, word: str) -> tuple[History, str | None]:
     """Return the run and the design, None where none is named, of RUN or RUN@DESIGN."""
     run, at, design = word.rpartition("@")
-    if at and (design in ("best", "latest") or design.isdecimal()):
+    if at and (design in ("best", "latest") or ITERATION.fullmatch(design)):
         return open_run(runs, run), design
     return open_run(runs, word), None
 
@@ -118,9 +113,9 @@ def _refuse(wanted: FilmArguments, flags: Sequence[str], other: str) -> None:
 
 
 def _write_still(places: Sequence[tuple[History, str | None]], wanted: FilmArguments, out: Path, *, json: bool) -> int:
-    from morph_core.durable import write_file
-    from studio.film.still import DPI as ALLOWED
-    from studio.film.still import Format, Still, read_size
+    from morph_core.durable import where_written, write_file
+    from studio.film.plan import STILL_DPI, STILL_WIDTH
+    from studio.film.still import DPI, Format, Still, read_size
 
     _refuse(wanted, _OF_FILMS, "--video")
     if len(places) != 1:
@@ -130,12 +125,12 @@ def _write_still(places: Sequence[tuple[History, str | None]], wanted: FilmArgum
         raise UsageError(f'replay: a still ends in .svg or .png, not "{out.suffix[:20]}"')
     if not out.parent.is_dir():
         raise UsageError(f"replay: there is no folder {out.parent} to write into")
-    dpi = DPI if wanted.dpi is None else wanted.dpi
-    _check("--dpi", dpi, ALLOWED)
-    (history, design), form = places[0], Format(*read_size(wanted.size or STILL_SIZE), dpi, wanted.scale_bar)
+    dpi = STILL_DPI if wanted.dpi is None else wanted.dpi
+    _check("--dpi", dpi, DPI)
+    (history, design), form = places[0], Format(*read_size(wanted.size or f"{STILL_WIDTH:g}mm"), dpi, wanted.scale_bar)
     still = Still(history, design or wanted.design or "best", wanted.at, wanted.episode)
     content = still.svg(form) if ending == ".svg" else still.png(form)
-    write_file(out, content)
+    write_file(where_written(out), content)
     _tell(out, {"path": str(out), "bytes": len(content)}, json=json)
     return 0
 
@@ -181,7 +176,7 @@ def _write_video(places: Sequence[tuple[History, str | None]], wanted: FilmArgum
 def _film(places: Sequence[tuple[History, str | None]], wanted: FilmArguments, out: Path) -> "Film":
     """Return the film that is wanted. UsageError and FilmError say what is allowed."""
     from studio.film.errors import FilmError
-    from studio.film.plan import EVOLUTION, plan_episode, plan_evolution
+    from studio.film.plan import EVOLUTION, RATES, SIZES, plan_episode, plan_evolution
     from studio.film.reel import ENDINGS
 
     _refuse(wanted, _OF_STILLS, "--still")

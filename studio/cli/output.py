@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import sys
 import unicodedata
 
@@ -21,6 +22,30 @@ def visible(words: str) -> str:
         else character
         for character in words
     )
+
+
+def open_streams() -> None:
+    """Give each standard stream that whoever started this program has closed a place where all words are lost.
+
+    Otherwise writing to it would be an error, and the next file that is opened would be taken for it by our children.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            descriptor = os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is the stream's
+            os.set_inheritable(descriptor, True)
+            setattr(sys, name, os.fdopen(descriptor, mode, encoding="utf-8"))
+
+
+def all_written() -> bool:
+    """Write out what was printed, and tell whether it could be; a reader who has seen enough counts as one of all."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # at its end Python writes once more
+        if not isinstance(error, BrokenPipeError):
+            complain(f"morph-studio: what was to be printed can't be written: {error.strerror}")
+            return False
+    return True
 
 
 def bear_any_encoding() -> None:

@@ -8,7 +8,9 @@ from studio.show.sheet import Page
 
 
 def check_place(out: Path, command: str) -> None:
-    """Raise UsageError where there is no folder for the file `out`, before anything is made."""
+    """Raise UsageError where `out` can't be a file for want of a folder, or is one itself, before anything is made."""
+    if out.is_dir():
+        raise UsageError(f"{command}: {out} is a folder; give the path of a file")
     if not out.parent.is_dir():
         raise UsageError(f"{command}: there is no folder {out.parent} to write into")
 
@@ -18,10 +20,10 @@ def write_page(page: Page, out: Path, command: str, *, json: bool = False) -> in
 
     With `json` one document is printed that holds both.
     """
-    from morph_core.durable import write_file
+    from morph_core.durable import where_written, write_file
 
     try:
-        write_file(out, page.content)
+        write_file(where_written(out), page.content)
     except OSError as error:
         complain(f"morph-studio: {command}: can't write {out}: {error.strerror or error}")
         return 1

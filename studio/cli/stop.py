@@ -1,5 +1,6 @@
 """`morph-studio stop`: end the trainer of a run, after its iteration or at once, or take the run out of the queue."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -29,6 +30,7 @@ def main(words: Sequence[str]) -> int:
     """Run `morph-studio stop` with these words; return the exit status."""
     arguments = parse(StopArguments, words, "stop")
     folder = open_run(arguments.runs, arguments.run).folder
+    place = shlex.quote(str(folder.path))
     command = Kill() if arguments.kill else Stop()
     try:
         number = Runs(folder.path.parent).send(folder.id, command, sender_here("command line"))
@@ -37,8 +39,8 @@ def main(words: Sequence[str]) -> int:
     if number:
         say(
             f"{folder.id} stops after its iteration; where it has not after {KILL_OFFERED_AFTER:.0f} s: "
-            f"morph-studio stop {folder.id} --kill"
+            f"morph-studio stop {place} --kill"
         )
     else:
-        say(f"{folder.id} is ended; to go on: morph-studio train --resume {folder.id}")
+        say(f"{folder.id} is ended; to go on: morph-studio train --resume {place}")
     return 0

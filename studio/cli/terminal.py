@@ -17,6 +17,10 @@ _WIDE = 200
 class _Console(Console):
     """A console that shows what files hold and obeys none of it: neither its markup nor its control characters."""
 
+    def on_broken_pipe(self) -> None:
+        """Pass the error on: a reader who has seen enough is no failure, in whatever way a command prints."""
+        raise  # it is called where the error is handled
+
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Render an object, its control characters written out; the console's own keep their effect."""
         for segment in super().render(renderable, options):

@@ -17,9 +17,9 @@ from pathlib import Path
 import msgspec
 
 import studio
-from studio.export.archive import read_files
+from studio.export.archive import read_files, unpack
 from studio.export.check import Check
-from studio.export.proof import prove, unpack
+from studio.export.proof import prove
 
 READING_SECONDS = 60
 """CPU time in which the files of a bundle are read and compared; it takes a few seconds."""

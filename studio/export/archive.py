@@ -70,6 +70,14 @@ def _check_apart(names: list[str]) -> None:
             raise ExportError(f"it holds {name[:60]!r} twice, or as a file and as a folder")
 
 
+def unpack(files: Mapping[str, bytes], folder: Path) -> None:
+    """Write files by their paths under `folder`; ExportError for a path that leads out of it."""
+    for path, content in files.items():
+        check_path(path)
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_bytes(content)
+
+
 def check_path(name: str) -> None:
     """Raise ExportError unless `name` is a plain relative path."""
     path = PurePosixPath(name)

@@ -1,5 +1,6 @@
 """The chosen design as one zip or folder: what other tools read, the numbers behind it, and where they come from."""
 
+import dataclasses
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -22,7 +23,6 @@ from studio.export import onnx_policy, servos
 from studio.export.archive import zipped
 from studio.export.check import Check
 from studio.export.control import control_settings
-from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
 from studio.export.materials import bill_csv, bill_html, bill_of_materials
@@ -32,19 +32,20 @@ from studio.export.plates import Prints, plan_prints, print_files, printers_for
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.printers import DEFAULT, printer_of
 from studio.export.prints_page import prints_html
-from studio.export.proof import PROVENANCE, check_onnx, prove_policy, prove_robot
+from studio.export.proof import PROVENANCE, check_onnx, prove_robot
 from studio.export.provenance import provenance_of
 from studio.export.report import Section, Sheet, report
 from studio.export.ros import package_name, ros_package
-from studio.export.servos import ServoTable, check_servo, compared_servos, servo_html, verdict
+from studio.export.servos import ServoTable, check_servo, servo_html, verdict
 from studio.export.step import step_files
+from studio.export.trial import Trial, begun
 from studio.export.urdf import write_urdf
 from studio.export.views import views_of
 from studio.export.zero import hold_keyframes, moved_zero, servo_targets
 from studio.robots.chooser import robot_of
-from studio.robots.deviation import deviation
+from studio.robots.deviation import Deviation, deviation
 from studio.robots.parts import Part, colours_of, dress, stl_files
-from studio.robots.robot import Program, Robot
+from studio.robots.robot import Robot
 
 FORMATS = ("mjcf", "urdf", "stl", "3mf", "glb")
 OPTIONAL_FORMATS = ("step", "ros", "ros2_control")
@@ -123,37 +124,44 @@ def _build(
     design = _design(history, task, which, iteration, phi, parts)
     policy = policy_at(history, iteration, phi)
     try:
-        files = robot_files(task, phi, parts, formats)
+        files = simulated_files(task, phi, parts, formats)
     except (ValueError, mujoco.FatalError) as error:
         raise ExportError(f"MuJoCo can't build this design: {error}") from error
-    prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
-    files |= print_files(prints) if prints else {}
-    checks = prove_robot(files, design, task, phi, only_mujoco=True)
     recorded = next(
         (e for e in reversed(history.evaluations) if e.iteration == iteration and e.phi == phi.tolist()), None
     )
-    scores: list[Score] = []
-    table: ServoTable | None = None
     program = robot.program(phi) if policy and "mjcf" in formats else None
+    promised: list[Score] = []
+    trial: Trial | None = None
     if policy and program:
+        promised = _promised(history, recorded, policy)
         files |= policy_files(policy, program, task.horizon)
-        if onnx_policy.is_available():
+        trial = Trial(files.copy(), task.name, design.task_options, phi, promised, wanted, EPISODES)
+    with begun(trial) as outcome:
+        files |= seen_files(task, phi, parts, formats)
+        prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
+        files |= print_files(prints) if prints else {}
+        checks = prove_robot(files, design, task, phi, only_mujoco=True)
+        if policy and program and onnx_policy.is_available():
             files[onnx_policy.FILE] = onnx_policy.onnx_file(policy, program, _facts(task, history, iteration))
             checks.append(check_onnx(files, task, phi))
-        recorder = Recorder()
-        found, compared = prove_policy(files, task, phi, _promised(history, recorded, policy), EPISODES, recorder)
-        table = compared_servos(recorder, task, phi, wanted)
-        checks += compared
-        scores = [*([msgspec.structs.replace(found, where="at export")] if found else []),
-                  *_promised(history, recorded, policy)]  # fmt: skip
+        model = task.spec(phi).compile()
+        off = deviation(model, parts, points=_POINTS) if robot.printed else None
+        views = views_of(model, parts) if parts else None
+        came = outcome()
+    checks += came.checks
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
+    scores = [*([msgspec.structs.replace(came.score, where="at export")] if came.score else []), *promised]
     files[FILE] = _json(msgspec.to_builtins(design))
-    measured = _episodes(history, recorded) if recorded else None
     oldest = _oldest(files)
-    files |= _papers(
-        task, design, phi, parts, prints, program, scores, recorded, measured, formats, oldest, table, wanted
+    sheet = Sheet(
+        title=task.title, design=design, robot=robot, parts=parts, views=views,
+        formats=[*formats, *(["onnx"] if onnx_policy.FILE in files else [])], scores=scores, recorded=recorded,
+        episodes=_episodes(history, recorded) if recorded else None, program=program,
+        no_onnx="" if onnx_policy.is_available() else onnx_policy.MISSING,
     )  # fmt: skip
+    files |= _papers(sheet, phi, prints, off, oldest, came.table, wanted)
     said, bed = [str(check) for check in checks], prints.printer.name if prints else ""
     provenance = provenance_of(history, iteration, files, said, scores, oldest, bed)
     files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
@@ -189,6 +197,11 @@ def parts_of_design(robot: Robot, phi: np.ndarray) -> list[Part]:
 
 def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
     """Return the robot in every format; where its parts are printed, it shows the files that are printed."""
+    return simulated_files(task, phi, parts, formats) | seen_files(task, phi, parts, formats)
+
+
+def simulated_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
+    """Return the robot in the formats of simulators, and its parts as STL, which those show."""
     robot = robot_of(task)
     spec, scene = task.spec(phi), task.scene(phi)
     _add_start(task, scene, phi)
@@ -217,7 +230,14 @@ def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Seq
             files |= ros_package(task.name, name, urdf[f"{name}.urdf"], {**shown, **urdf}, size)
         files |= urdf if "urdf" in formats else {}
         files["control.json"] = _json(control_settings(model, scene.compile(), zero))
+    return files
+
+
+def seen_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
+    """Return the robot in the formats in which people look at it."""
+    files: dict[str, bytes] = {}
     if "glb" in formats:
+        model = moved_zero(task.spec(phi), robot_of(task).zero(phi)).compile()
         files["assembly.glb"] = glb(parts, model, colours_of(model, parts))
     if "step" in formats:
         files |= step_files(parts)
@@ -233,46 +253,29 @@ def _add_start(task: Task, scene: mujoco.MjSpec, phi: np.ndarray) -> None:
 
 
 def _papers(
-    task: Task,
-    design: Design,
+    sheet: Sheet,
     phi: np.ndarray,
-    parts: Sequence[Part],
     prints: Prints | None,
-    program: Program | None,
-    scores: Sequence[Score],
-    recorded: Evaluation | None,
-    episodes: int | None,
-    formats: Sequence[str],
+    off: Deviation | None,
     oldest: str,
     table: ServoTable | None,
     wanted: ServoName | None,
 ) -> dict[str, bytes]:
-    """Return what is written for people."""
-    robot = robot_of(task)
-    held = [*formats, "onnx"] if program and onnx_policy.is_available() else formats
+    """Return what is written for people: what is on the `sheet`, and what was measured besides."""
     papers = {
-        "README.txt": _readme(task, robot, held, program, oldest, table).encode(),
+        "README.txt": _readme(sheet, oldest, table).encode(),
         "LICENSE": (_SHIPPED / "LICENSE").read_bytes(),
     }
-    model = task.spec(phi).compile()
-    more = [Section("Print it", prints_html(prints))] if prints else []
-    if robot.printed:
-        measured = deviation(model, parts, points=_POINTS)
-        more.insert(0, Section("Printed and simulated", f"<p>{escape(measured.words)}"))
+    more = [Section("Printed and simulated", f"<p>{escape(off.words)}")] if off else []
+    more += [Section("Print it", prints_html(prints))] if prints else []
     if table:
         papers[servos.FILE] = _json(msgspec.to_builtins(table))
         more.append(Section("Servos", servo_html(table)))
-    if robot.printed:
-        lines = bill_of_materials(robot, phi, parts, table.servo if table else wanted, prints)
+    if sheet.robot.printed:
+        lines = bill_of_materials(sheet.robot, phi, sheet.parts, table.servo if table else wanted, prints)
         papers["BOM.csv"] = bill_csv(lines)
         more.append(Section("Bill of materials", bill_html(lines)))
-    sheet = Sheet(
-        title=task.title, design=design, robot=robot, parts=parts,
-        views=views_of(model, parts) if parts else None, formats=held, scores=scores,
-        recorded=recorded, episodes=episodes, program=program,
-        more=more, no_onnx="" if onnx_policy.is_available() else onnx_policy.MISSING,
-    )  # fmt: skip
-    papers["report.html"] = report(sheet)
+    papers["report.html"] = report(dataclasses.replace(sheet, more=more))
     return papers
 
 
@@ -282,10 +285,9 @@ def _oldest(files: Mapping[str, bytes]) -> str:
     return oldest_reader(texts) if texts else ""
 
 
-def _readme(
-    task: Task, robot: Robot, formats: Sequence[str], program: Program | None, oldest: str, table: ServoTable | None
-) -> str:
-    name, package = robot.file_name, package_name(task.name)
+def _readme(sheet: Sheet, oldest: str, table: ServoTable | None) -> str:
+    robot, program = sheet.robot, sheet.program
+    name, package = robot.file_name, package_name(sheet.design.task)
     printed = "Print:   parts/*.stl (mm), one file for each part; BOM.csv says how many"
     shapes = "Shapes:  parts/*.stl (mm), the collision shapes of each link, which stand in for parts"
     lines = {
@@ -306,10 +308,10 @@ def _readme(
         "glb": "Look:    assembly.glb (m)",
         "step": "CAD:     step/*.step (mm), plane faces",
     }
-    said = [lines[kind] for kind in lines if kind in formats]
+    said = [lines[kind] for kind in lines if kind in sheet.formats]
     if program:
         graph = "policy.onnx is the same, as one graph in physical units: python policy.py compares both"
-        graph = graph if "onnx" in formats else f"no policy.onnx: {onnx_policy.MISSING}"
+        graph = graph if "onnx" in sheet.formats else f"no policy.onnx: {onnx_policy.MISSING}"
         said.append("\n         ".join([f"Policy:  {program.command}", *program.about, graph]))
     if table:
         said.append(f"Servos:  {verdict(table)};\n         report.html and {servos.FILE} say more")

@@ -25,6 +25,9 @@ Surface = tuple[np.ndarray, np.ndarray]
 OFF_ALLOWED = 1e-6
 """Largest distance (mm) by which a body may reach out of the printer, and area (mm^2) that may lie over another."""
 
+BENT_ALLOWED = 1e-9
+"""Largest difference between what a body is turned by and a rotation: nothing on a plate is stretched or mirrored."""
+
 
 def check_part_file(path: str, scene: Any, part: PartEntry) -> tuple[dict[str, Surface], Check]:
     """Return the surfaces of a part's 3MF, read as a `scene`, and the check of what else that says of it.
@@ -51,15 +54,22 @@ def check_plates(files: Mapping[str, bytes], parts: Sequence[PartEntry], read: C
     checks: list[Check] = []
     found: Counter[str] = Counter()
     size = printer_of(next(iter(rows.values()))["printer"]).size
+    own = {part.name: read(path) for part in parts if (path := f"3mf/{part.name}.3mf") in files}
+    shapes = {name: mesh for scene in own.values() for name, mesh in scene.geometry.items()}
     for path in sorted(path for path in files if path.startswith(f"{FOLDER}/") and path.endswith(".3mf")):
-        bodies = _placed(read(path))
+        scene = read(path)
+        bodies = _placed(scene)
         found.update(name for name, _ in bodies)
+        checks.append(Check(f"{path}: bodies as in their own files (mm)", _unlike(scene, shapes), OFF_ALLOWED))
+        checks.append(Check(f"{path}: turned and moved alone", _bent(scene), BENT_ALLOWED))
         checks.append(Check(f"{path}: inside the printer (mm)", _outside([b for _, b in bodies], size), OFF_ALLOWED))
         checks.append(Check(f"{path}: none over another (mm^2)", _covered([b for _, b in bodies]), OFF_ALLOWED))
     for part in parts:
-        if (path := f"3mf/{part.name}.3mf") in files:
-            out = _outside([body for _, body in _placed(read(path))], (math.inf,) * 3)
+        if part.name in own:
+            path, scene = f"3mf/{part.name}.3mf", own[part.name]
+            out = _outside([body for _, body in _placed(scene)], (math.inf,) * 3)
             checks.append(Check(f"{path}: lies on the bed (mm)", out, OFF_ALLOWED))
+            checks.append(Check(f"{path}: turned and moved alone", _bent(scene), BENT_ALLOWED))
     wrong = list(_miscounted(rows, found, parts))
     checks.append(Check("plates: each piece as often as needed", float(len(wrong)), 0.0, ", ".join(wrong[:3])))
     return checks
@@ -96,6 +106,25 @@ def _placed(scene: Any) -> list[tuple[str, Manifold]]:
         solid = Manifold(Mesh64(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.uint64)))
         bodies.append((name, solid.transform(pose[:3])))
     return bodies
+
+
+def _unlike(scene: Any, shapes: Mapping[str, Any]) -> float:
+    """Return how far (mm) corners of bodies lie from where they are in the bodies' own files; infinity where there are
+    others. The coupon has no file of its own."""
+    off = 0.0
+    for name, mesh in scene.geometry.items():
+        same = shapes.get(name, mesh if name == COUPON else None)
+        if same is None or mesh.vertices.shape != same.vertices.shape or not np.array_equal(mesh.faces, same.faces):
+            return math.inf
+        off = max(off, float(np.abs(mesh.vertices - same.vertices).max(initial=0.0)))
+    return off
+
+
+def _bent(scene: Any) -> float:
+    """Return how far what the bodies of a 3MF are turned by is from a rotation."""
+    turns = np.array([scene.graph[node][0][:3, :3] for node in scene.graph.nodes_geometry]).reshape(-1, 3, 3)
+    off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
+    return float(off) if np.all(np.linalg.det(turns) > 0) else math.inf
 
 
 def _outside(bodies: Sequence[Manifold], size: Sequence[float]) -> float:

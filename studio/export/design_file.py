@@ -1,5 +1,6 @@
 """design.json: phi with its names, units and bounds; written into every bundle and read back to go on from it."""
 
+import codecs
 import threading
 from pathlib import Path
 
@@ -89,6 +90,7 @@ def read_design(content: bytes) -> Design:
         if FILE not in files:
             raise ExportError(f"this zip holds no {FILE}: it is no bundle of morph-studio")
         content = files[FILE]
+    content = content.removeprefix(codecs.BOM_UTF8)  # which some editors put in front
     try:
         head = msgspec.json.decode(content, type=_Head)
         if head.kind != KIND:
@@ -106,9 +108,11 @@ def load_design(path: Path) -> Design:
     """Return the design of a design.json, a bundle's zip or a bundle's folder."""
     try:
         path = path / FILE if path.is_dir() else path
-        if path.stat().st_size > MAX_BYTES:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)  # a device has no size and no end
+        if len(content) > MAX_BYTES:
             raise ExportError(f"{path} is too large to be a design")
-        return read_design(path.read_bytes())
+        return read_design(content)
     except OSError as error:
         raise ExportError(f"{path} can't be read: {error.strerror or error}") from error
 

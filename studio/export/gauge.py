@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from manifold3d import Manifold
 
-from studio.export.pieces import LAYER, solid_of
+from studio.export.pieces import LAYER
 from studio.robots import geometry
 from studio.robots.parts import MILLIMETRE, Part, link_names
 
@@ -59,9 +59,10 @@ def thinnest_wall(solid: Manifold) -> float:
     measured = np.flatnonzero(areas > 0)
     measured = measured[:: math.ceil(len(measured) / MOST_RAYS)]
     for middle, direction in zip(corners[measured].mean(1), inward[measured] / areas[measured, None], strict=True):
-        hits = solid.ray_cast(tuple(middle + start * direction), tuple(middle + reach * direction))
+        far = min(reach, thinnest)  # a shorter ray is a quicker one
+        hits = solid.ray_cast(tuple(middle + start * direction), tuple(middle + far * direction))
         if hits and np.dot(hits[0].normal, direction) > level:
-            thinnest = min(thinnest, hits[0].distance * (reach - start) + start)
+            thinnest = min(thinnest, hits[0].distance * (far - start) + start)
     return float(thinnest)
 
 
@@ -114,7 +115,7 @@ def _fit(name: str, parts: tuple[Part, Part], bodies: tuple[int, int], data: muj
     for part, (turn, place) in zip(parts, frames, strict=True):
         point = turn.T @ (data.xanchor[joint] - place) / MILLIMETRE
         bores.append(bore(part.vertices, part.faces, point, turn.T @ data.xaxis[joint]))
-        solids.append(solid_of(part).transform(np.column_stack([turn, place / MILLIMETRE])))
+        solids.append(part.solid.transform(np.column_stack([turn, place / MILLIMETRE])))
     gap = solids[0].min_gap(solids[1], NEAR)
     return Fit(name, (parts[0].name, parts[1].name), (bores[0], bores[1]), gap)
 

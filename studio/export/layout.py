@@ -41,22 +41,23 @@ class Plate:
 def arrange(bodies: Sequence[Piece], printer: Printer) -> list[Plate]:
     """Return all copies of bodies that fit the bed, each on one of as few plates as are found, none over another.
 
-    What lies on the bed only at an angle lies side by side across plates of its own.
+    What lies on the bed only at an angle lies side by side across a plate, with what else finds room there.
     """
     straight: list[Piece] = []
     slanted: list[Piece] = []
     for body in bodies:
         angle = printer.angle_of(float(body.size[0]), float(body.size[1]))
         (straight if angle == 0 or angle == np.pi / 2 else slanted).extend([body] * body.copies)
-    plates = []
+    across: list[Plate] = []
+    slanted.sort(key=lambda body: -body.size[0])
+    while slanted:
+        items, slanted, straight = _across(slanted, straight, printer)
+        across.append(Plate(printer, items))
+    plates: list[Plate] = []
     while straight:
         items, straight = _filled(straight, printer)
         plates.append(Plate(printer, items))
-    slanted.sort(key=lambda body: -body.size[0])
-    while slanted:
-        items, slanted = _across(slanted, printer)
-        plates.append(Plate(printer, items))
-    return plates
+    return plates + across
 
 
 def _filled(bodies: Sequence[Piece], printer: Printer) -> tuple[list[Item], list[Piece]]:
@@ -81,10 +82,18 @@ def _filled(bodies: Sequence[Piece], printer: Printer) -> tuple[list[Item], list
     return items, [body for body, there in zip(bodies, placed, strict=True) if not there]
 
 
-def _across(bodies: Sequence[Piece], printer: Printer) -> tuple[list[Item], list[Piece]]:
-    """Return a plate of as many bodies as lie side by side across it, and the others; the longest ones come first."""
-    count = next(n for n in range(len(bodies), 0, -1) if printer.angle_of(*_block(bodies[:n])) is not None)
-    row, rest = list(bodies[:count]), list(bodies[count:])
+def _across(
+    slanted: Sequence[Piece], straight: Sequence[Piece], printer: Printer
+) -> tuple[list[Item], list[Piece], list[Piece]]:
+    """Return a plate of as many bodies as lie side by side across it, and those of both kinds that are left.
+
+    The longest of the slanted ones come first.
+    """
+    count = next(n for n in range(len(slanted), 0, -1) if printer.angle_of(*_block(slanted[:n])) is not None)
+    row, left = list(slanted[:count]), list[Piece]()
+    for body in sorted(straight, key=lambda body: -body.size[0]):
+        fits = printer.angle_of(*_block([*row, body])) is not None
+        (row if fits else left).append(body)
     length, width = _block(row)
     angle = printer.angle_of(length, width)
     assert angle is not None
@@ -96,7 +105,7 @@ def _across(bodies: Sequence[Piece], printer: Printer) -> tuple[list[Item], list
         low = middle - (corners.max(0) + corners.min(0)) / 2 + corners.min(0)
         items.append(put(body, angle, low))
         y += body.size[1] + GAP
-    return items, rest
+    return items, list(slanted[count:]), left
 
 
 def _block(bodies: Sequence[Piece]) -> tuple[float, float]:

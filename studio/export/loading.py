@@ -45,14 +45,15 @@ LOADINGS: Sequence[Loading] = (
     Loading(
         "Gazebo", "urdf", SHELL,
         "gz sdf -p {robot}.urdf > {robot}.sdf\n"
-        "ros2 run ros_gz_sim create -file $PWD/{robot}.urdf -name {robot}  # into a world that is running",
+        'ros2 run ros_gz_sim create -file "$PWD/{robot}.urdf" -name {robot}  # into a world that is running',
         note="The first line shows what Gazebo makes of the robot.",
         untried="The first line runs in a test, in Debian's sdformat; Gazebo and ROS 2 are in no package registry.",
     ),
     Loading(
         "Isaac Sim and Isaac Lab", "urdf", SHELL,
         "urdf_usd_converter {robot}.urdf usd  # pip install urdf-usd-converter; open usd in Isaac Sim\n"
-        "./isaaclab.sh -p scripts/tools/convert_urdf.py $PWD/{robot}.urdf $PWD/{robot}.usd --fix-base  # Isaac Lab",
+        './isaaclab.sh -p scripts/tools/convert_urdf.py "$PWD/{robot}.urdf" "$PWD/{robot}.usd" --fix-base'
+        "  # Isaac Lab",
         note="Then set the servo gains and armatures of control.json on the joint drives.",
         untried="The first line runs in a test; Isaac Sim and Isaac Lab are in no package registry.",
     ),

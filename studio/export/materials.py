@@ -111,9 +111,10 @@ def bill_html(lines: Sequence[Line]) -> str:
         f"<td class=n>{_dollars(line.price, line.quantity)}<td>{escape(line.note)}"
         for line in lines
     )
-    return f"""<table><thead><tr><th>item<th>quantity<th>g each<th>g<th>USD each<th>USD<th></tr></thead>{rows}
-<tr><th>{everything.item}<th class=n>{everything.quantity}<th><th class=n>{_grams(everything.mass)}<th>
-<th class=n>{_dollars(everything.price)}<th>{escape(everything.note)}</tr></table>
+    return f"""<table><thead><tr><th>item<th class=n>quantity<th class=n>g each<th class=n>g<th class=n>USD each
+<th class=n>USD<th></tr></thead>{rows}
+<tfoot><tr><th>{everything.item}<th class=n>{everything.quantity}<th><th class=n>{_grams(everything.mass)}<th>
+<th class=n>{_dollars(everything.price)}<th>{escape(everything.note)}</tr></tfoot></table>
 """
 
 

@@ -7,13 +7,19 @@ from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
 from studio.export.errors import ExportError
+from studio.robots.stl import stl
 
 OLD = "3.2"
 """The oldest MuJoCo whose words are known: the file below has those of 3.2.7, as its `mj_printSchema` gives them."""
 _WORDS = Path(__file__).parent / "shipped" / "mjcf_3_2.json"
+_ONE_NUMBER = frozenset(f"{kind}/{name}" for kind in ("joint", "fixed", "spatial") for name in ("damping", "stiffness"))
+_KEYWORDS = {"mesh/inertia": frozenset(("convex", "exact", "legacy"))}
+"""Attributes, behind their elements, of which MuJoCo 3.2 takes one number, or fewer keywords than newer versions."""
 _BODIES = ("worldbody", "body", "frame", "replicate")
+_STAND_IN = stl(np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]), "stand-in")
 
 
 def write_mjcf(
@@ -34,7 +40,8 @@ def write_mjcf(
             mesh.file = path
     spec.meshdir = ""
     try:
-        spec.assets = {**shared, **own}
+        # What is written is the meshes' names: to compile them all would take long, and the proof reads them.
+        spec.assets = {**dict.fromkeys(shared, _STAND_IN), **own}
         spec.compile()
         return {name: in_old_words(spec.to_xml()), **own}
     except (ValueError, mujoco.FatalError) as error:
@@ -46,6 +53,8 @@ def in_old_words(text: str) -> bytes:
     root = ElementTree.fromstring(text)
     for actuator in root.findall("actuator/general"):
         _name_servo(actuator)
+    for actuator in root.iter("general"):
+        actuator.attrib.pop("input", None)  # it says what a command means, and moves nothing
     for sensors in root.findall("sensor"):
         for sensor in [*sensors]:
             if f"sensor/{sensor.tag}" not in _old_words():
@@ -63,7 +72,7 @@ def oldest_reader(texts: Iterable[bytes]) -> str:
 
 
 def new_words(root: ElementTree.Element) -> list[str]:
-    """Return the elements and attributes of MJCF that MuJoCo 3.2 does not know."""
+    """Return the elements, attributes and values of MJCF that MuJoCo 3.2 does not know."""
     known, new, todo = _old_words(), list[str](), [("", root)]
     while todo:
         parent, element = todo.pop()
@@ -72,8 +81,14 @@ def new_words(root: ElementTree.Element) -> list[str]:
             new.append(word)
             continue
         new += [f"{word} {name}" for name in element.attrib if name not in known[word]]
+        new += [f"{word} {name}={value}" for name, value in element.attrib.items() if _is_new(element.tag, name, value)]
         todo += [(element.tag, child) for child in element]
     return new
+
+
+def _is_new(element: str, name: str, value: str) -> bool:
+    where = f"{element}/{name}"
+    return (where in _ONE_NUMBER and len(value.split()) > 1) or value not in _KEYWORDS.get(where, {value})
 
 
 def _name_servo(actuator: ElementTree.Element) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from manifold3d import CrossSection, Manifold, Mesh64, OpType
+from manifold3d import CrossSection, Manifold, OpType
 
 from studio.export.meshes import Shape
 from studio.export.printers import BORDER, Printer
@@ -83,11 +83,6 @@ class Pieces:
         return 2 * (len(self.pieces) - 1)
 
 
-def solid_of(part: Part) -> Manifold:
-    """Return the body of a part in the frame of its link, in mm."""
-    return Manifold(Mesh64(part.vertices, part.faces.astype(np.uint64)))
-
-
 def piece_names(part: str, count: int) -> list[str]:
     """Return the names of the pieces that a part is printed in."""
     return [part] if count == 1 else [f"{part}_{i}of{count}" for i in range(1, count + 1)]
@@ -116,7 +111,7 @@ def _turns() -> Iterator[np.ndarray]:
 
 def pieces_of(part: Part, printer: Printer) -> Pieces:
     """Return the part whole, or cut where the bed is too short; ValueError with its length and what is allowed."""
-    whole = lay(part.name, part.name, solid_of(part), part.quantity)
+    whole = lay(part.name, part.name, part.solid, part.quantity)
     if printer.takes(whole.size):
         return Pieces([whole])
     length, width, height = (float(s) for s in whole.size)

@@ -10,7 +10,7 @@ from studio.export.printers import BORDER
 
 _MARGIN = 14.0  # mm round the bed, for numbers and the title
 _GRID = 50.0  # mm
-_FONT = 6.0  # mm
+_FONT, _SMALL = 9.0, 7.0  # mm: a plate is some 320 pixels wide in a report
 _WIDE = 0.6
 """Width of a letter as a share of the font's size, a little more than most have."""
 _FILLS = ("#9ecae1", "#fdd0a2", "#a1d99b", "#dadaeb", "#fcbba1", "#c7e9c0", "#d9d9d9", "#fde0dd")
@@ -43,8 +43,10 @@ def _grid(width: float, depth: float) -> Iterator[str]:
             x1, y1, x2, y2 = (f"{v:g}" for v in line)
             yield f'<line x1="{x1}" y1="{y1}" x2="{x2}" y2="{y2}" stroke="#d5d8dd" stroke-width=".5"/>'
             unit = " mm" if at + _GRID > end else ""
-            place = f'x="{at:g}" y="8" text-anchor="middle"' if i == 0 else f'x="-2" y="{-at + 2:g}" text-anchor="end"'
-            yield f'<text {place} font-size="4.5" fill="#5c6370">{at:g}{unit if i == 0 else ""}</text>'
+            place = (
+                f'x="{at:g}" y="9" text-anchor="middle"' if i == 0 else f'x="-2" y="{-at + 2.5:g}" text-anchor="end"'
+            )
+            yield f'<text {place} font-size="{_SMALL:g}" fill="#5c6370">{at:g}{unit if i == 0 else ""}</text>'
     yield (
         f'<rect x="{BORDER:g}" y="{BORDER - depth:g}" width="{width - 2 * BORDER:g}" height="{depth - 2 * BORDER:g}" '
         'fill="none" stroke="#9aa1ad" stroke-width=".5" stroke-dasharray="3 3"/>'
@@ -63,7 +65,11 @@ def _item(item: Item, fill: str) -> Iterator[str]:
     x, y, _ = (low + high) / 2
     cos, sin = (item.pose[:, :3] @ item.piece.turn.T)[:2, 0]
     angle = -np.degrees(np.arctan2(sin, cos))
-    yield f'<g transform="translate({x:.2f} {-y:.2f}) rotate({angle:.2f})" text-anchor="middle" font-size="{size:.2f}">'
+    around = f'stroke="{fill}" stroke-width="{size / 3:.2f}" stroke-linejoin="round" paint-order="stroke"'
+    yield (
+        f'<g transform="translate({x:.2f} {-y:.2f}) rotate({angle:.2f})" text-anchor="middle" '
+        f'font-size="{size:.2f}" {around}>'
+    )
     for i, text in enumerate(said):
         yield f'<text y="{(1.2 * i - 0.25) * size:.2f}">{escape(text)}</text>'
     yield "</g>"

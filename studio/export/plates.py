@@ -16,7 +16,7 @@ from studio.export.coupon import coupon
 from studio.export.gauge import THINNEST, Fit, fits_of, overhang, thinnest_wall, tightest
 from studio.export.layout import GAP, Item, Plate, arrange, put
 from studio.export.meshes import Body, three_mf
-from studio.export.pieces import Piece, Pieces, lay, pieces_of, solid_of
+from studio.export.pieces import Piece, Pieces, lay, pieces_of
 from studio.export.plate_picture import plate_picture
 from studio.export.printers import BORDER, PRINTERS, Printer
 from studio.robots.parts import Part
@@ -60,7 +60,7 @@ def plan_prints(parts: Sequence[Part], printer: Printer, model: mujoco.MjModel |
             made[part.name] = pieces_of(part, printer)
         except ValueError as error:
             problems[part.name] = str(error)
-            made[part.name] = Pieces([lay(part.name, part.name, solid_of(part), part.quantity)])
+            made[part.name] = Pieces([lay(part.name, part.name, part.solid, part.quantity)])
     measured = {piece.name: _measured(piece) for each in made.values() for piece in each.pieces}
     for each in made.values():
         for piece in each.pieces:

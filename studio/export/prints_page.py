@@ -44,8 +44,8 @@ def _pieces(prints: Prints) -> str:
         f"<td class=n>{found.first_layer:,.0f}<td class=n>{found.thinnest_wall:.1f}<td class=n>{found.overhang:,.0f}"
         for name, found in prints.measured.items()
     )
-    return f"""<table><tr><th>body<th>size as it lies, mm<th>first layer, mm&sup2;<th>thinnest wall, mm
-<th>overhang, mm&sup2;</tr>{rows}</table>
+    return f"""<table><thead><tr><th>body<th class=n>size as it lies, mm<th class=n>first layer, mm&sup2;
+<th class=n>thinnest wall, mm<th class=n>overhang, mm&sup2;</tr></thead>{rows}</table>
 <p class=dim>Measured on the meshes. First layer: {LAYER:g} mm above the bed. Overhang: undersides above it that lean
 outward by more than {STEEP:g}&deg;, bores among them."""
 

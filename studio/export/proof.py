@@ -18,7 +18,9 @@ from manifold3d import Error, Manifold, Mesh64
 from morph_core.catalogue import make_task
 from morph_core.task import Task
 from studio.export import onnx_policy
+from studio.export.archive import unpack
 from studio.export.check import Check, relative, worst
+from studio.export.check_copies import check_archive, check_drives, check_package
 from studio.export.check_prints import Surface, check_part_file, check_plates, read_3mf
 from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
@@ -27,10 +29,11 @@ from studio.export.plates import PIECES
 from studio.export.policy import Score, read_policy, score
 from studio.export.provenance import Provenance
 from studio.export.readings import collision_box
+from studio.export.ros import FOLDER, in_packages
 from studio.export.screen import screen
 from studio.export.stand import check_standing
 from studio.export.urdf import NO_LIMIT, urdf_names
-from studio.export.verify import verify
+from studio.export.verify import load_model, verify_folder
 from studio.export.zero import moved_zero
 from studio.robots.chooser import robot_of
 from studio.robots.geometry import moments
@@ -166,12 +169,21 @@ def prove_robot(
     """Compare MJCF, URDF and parts with the robot that phi (d,) makes."""
     robot = robot_of(task)
     model, printed = task.spec(phi).compile(), robot.printed
-    checks = verify(files, model, robot=design.robot, zero=robot.zero(phi), only_mujoco=only_mujoco)
-    if robot.printed:  # what a stranger's robot does without commands is not known
-        checks += _guarded("standing", lambda: _check_standing(files, design.robot, model))
-    if (urdf := f"{design.robot}.urdf") in files:
-        checks += _guarded(f"{urdf}: speeds", lambda: [_check_speeds(urdf, files[urdf], model, robot.speeds)])
-        checks += _guarded(f"{urdf}: frictions", lambda: [_check_frictions(urdf, files[urdf], model)])
+    with tempfile.TemporaryDirectory() as name:
+        folder, load = Path(name), cache(load_model)  # to build a model takes long
+        unpack(files, folder)
+        checks = verify_folder(
+            folder, files, model, robot=design.robot, zero=robot.zero(phi), only_mujoco=only_mujoco, load=load
+        )
+        if robot.printed:  # what a stranger's robot does without commands is not known
+            checks += _guarded("standing", lambda: _check_standing(folder, design.robot, model, load))
+    for urdf in [path for path in (f"{design.robot}.urdf", *in_packages(files, design.robot)) if path in files]:
+        checks += _guarded(urdf, lambda urdf=urdf: _check_urdf(urdf, files[urdf], task, phi))
+    if (archive := f"{design.robot}.mjz") in files:
+        checks += _guarded(archive, lambda: [check_archive(files, design.robot)])
+    if any(path.startswith(f"{FOLDER}/") for path in files):
+        size = float(_moved(task, phi).stat.extent)
+        checks += _guarded(FOLDER, lambda: [check_package(files, design.robot, task.name, size)])
     read = cache(lambda path: read_3mf(files[path]))  # a part's file is looked at as a part, and as a plate
     for part in design.parts:
         checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed, read))
@@ -182,16 +194,31 @@ def prove_robot(
     return checks
 
 
-def _check_standing(files: Mapping[str, bytes], robot: str, model: mujoco.MjModel) -> list[Check]:
-    """Check that the robot of a `model` stands where each MJCF file begins."""
+def _check_standing(
+    folder: Path, robot: str, model: mujoco.MjModel, load: Callable[[Path], mujoco.MjModel]
+) -> list[Check]:
+    """Check that the robot of a `model` stands where each MJCF file of a folder begins."""
     own = {model.body(b).name for b in range(1, model.nbody)}
     checks: list[Check] = []
-    with tempfile.TemporaryDirectory() as folder:
-        unpack(files, Path(folder))
-        for file, bodies in ((f"{robot}.xml", own | {"world"}), ("scene.xml", own)):
-            if file in files:
-                checks += check_standing(file, mujoco.MjModel.from_xml_path(str(Path(folder) / file)), bodies)
+    for file, bodies in ((f"{robot}.xml", own | {"world"}), ("scene.xml", own)):
+        if (folder / file).exists():
+            checks += check_standing(file, load(folder / file), bodies)
     return checks
+
+
+def _check_urdf(path: str, content: bytes, task: Task, phi: np.ndarray) -> list[Check]:
+    """Compare what a URDF says of its joints, which readers pass over, with what the task asks of them."""
+    model = task.spec(phi).compile()
+    return [
+        _check_speeds(path, content, model, robot_of(task).speeds),
+        _check_frictions(path, content, model),
+        check_drives(path, content, _moved(task, phi)),
+    ]
+
+
+def _moved(task: Task, phi: np.ndarray) -> mujoco.MjModel:
+    """Return the robot of a design (d,) with the zeros of the files."""
+    return moved_zero(task.spec(phi), robot_of(task).zero(phi)).compile()
 
 
 def _check_speeds(path: str, content: bytes, model: mujoco.MjModel, speeds: Mapping[str, float]) -> Check:
@@ -297,13 +324,6 @@ def _touching_off(simulated: mujoco.MjModel, found: mujoco.MjModel) -> dict[str,
     return off
 
 
-def unpack(files: Mapping[str, bytes], folder: Path) -> None:
-    """Write files whose paths were checked under `folder`."""
-    for path, content in files.items():
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        (folder / path).write_bytes(content)
-
-
 def check_digests(files: Mapping[str, bytes]) -> Check:
     """Compare every file with its digest in provenance.json."""
     name = f"{PROVENANCE}: digests"
@@ -402,7 +422,7 @@ def _check_mass(path: str, surface: Surface, density: float, model: mujoco.MjMod
 def _check_enclosed(path: str, surface: Surface, model: mujoco.MjModel, link: str) -> list[Check]:
     """Check that a part is inside the box round its link's collision shapes."""
     body = body_of(model, link)
-    box = collision_box(model, body, np.zeros(3))
+    box = collision_box(model, body)
     forks = int((model.body_parentid[1:] == body).sum()) > 1  # a palm's mounts are enclosed by the fingers' ends
     if box is None or forks:
         return []

@@ -1,6 +1,7 @@
 """One robot as different readers understand its files: MuJoCo, yourdfpy, pinocchio, pybullet."""
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,12 @@ import numpy as np
 
 from studio.export.urdf import CARRIER_MASS, NO_LIMIT, free_base, joint_effort, joint_limits, link_origin, urdf_names
 from studio.export.zero import zero_of
+
+_TOWARDS = np.array([d for d in itertools.product((0.0, 1.0, -1.0), repeat=3) if d > (0.0, 0.0, 0.0)])
+DIRECTIONS = _TOWARDS[np.argsort(np.abs(_TOWARDS).sum(1), kind="stable")][:, ::-1]
+DIRECTIONS = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+"""Unit vectors (13, 3): x, y, z, the diagonals of a cube's faces, and those of the cube. Two boxes,
+cylinders or spheres that reach equally far along all of them are the same shape at the same place."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +30,8 @@ class Reading:
     efforts: dict[str, float]  # N or N m
     dampings: dict[str, float]
     extents: dict[str, np.ndarray]
-    """Corners (2, 3) in m of the box round a body's collision shapes, from its centre of mass, in its axes."""
+    """How far (n, 2, 13) in m each of a body's n collision shapes reaches along `DIRECTIONS`, at least and at most,
+    from its centre of mass, in its axes; a capsule is a cylinder and two spheres, as in a URDF."""
     poses: Callable[[Mapping[str, float]], dict[str, np.ndarray]]
     """Function of joint values that returns a matrix (4, 4) for each body: its axes, at its centre of mass, seen from
     the base; sites likewise.
@@ -65,8 +73,9 @@ def _read_mujoco(
         mujoco.mj_kinematics(model, data)
         origin = np.linalg.inv(_pose(data.xmat[base], data.xpos[base]))
         centres = data.xpos + np.einsum("bij,bj->bi", data.xmat.reshape(-1, 3, 3), offsets)
-        found = {links[i]: origin @ _pose(data.xmat[i], centres[i]) for i in range(1, model.nbody)}
-        return found | {s: origin @ _pose(data.site_xmat[i], data.site_xpos[i]) for i, s in enumerate(sites)}
+        bodies, frames = _pose(data.xmat, centres), _pose(data.site_xmat, data.site_xpos)
+        placed = origin @ np.concatenate([bodies[1:], frames[: len(sites)]])
+        return dict(zip([*links[1:], *sites], placed, strict=True))
 
     return Reading(
         masses={links[i]: float(model.body_mass[i]) for i in heavy},
@@ -74,53 +83,65 @@ def _read_mujoco(
         limits={name: joint_limits(model, j, float(zero[j])) for name, j in moving.items()},
         efforts={name: joint_effort(model, j) for name, j in moving.items()},
         dampings={name: float(model.dof_damping[model.jnt_dofadr[j]]) for name, j in moving.items()},
-        extents={links[i]: box for i in range(model.nbody) if (box := collision_box(model, i, offsets[i])) is not None},
+        extents={
+            links[i]: np.stack(shapes) for i in range(model.nbody) if (shapes := list(_shapes(model, i, offsets[i])))
+        },
         poses=poses,
     )
 
 
-def collision_box(model: mujoco.MjModel, body: int, origin: np.ndarray) -> np.ndarray | None:
-    """Return the corners (2, 3) m of the box round a body's collision shapes, seen from `origin`; None without any."""
-    boxes = []
+def collision_box(model: mujoco.MjModel, body: int) -> np.ndarray | None:
+    """Return the corners (2, 3) m of the box round a body's collision shapes, in its frame; None without any."""
+    shapes = list(_shapes(model, body, np.zeros(3)))
+    if not shapes:
+        return None
+    return np.stack([np.min(shapes, axis=0)[0, :3], np.max(shapes, axis=0)[1, :3]])
+
+
+def _shapes(model: mujoco.MjModel, body: int, origin: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the reach (2, 13) m of each collision shape of a body, seen from `origin`."""
     for g in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
         if not model.geom_contype[g] and not model.geom_conaffinity[g]:
             continue
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[g])
         axes = rotation.reshape(3, 3)
-        size = model.geom_size[g]
+        centre, size = model.geom_pos[g] - origin, model.geom_size[g]
         match int(model.geom_type[g]):
             case mujoco.mjtGeom.mjGEOM_CAPSULE:
-                low, high = _around(axes, sphere=size[0], line=size[1])
+                yield _reach(axes, centre, disc=size[0], line=size[1])
+                for end in (-size[1], size[1]):
+                    yield _reach(axes, centre + end * axes[:, 2], sphere=size[0])
             case mujoco.mjtGeom.mjGEOM_SPHERE:
-                low, high = _around(axes, sphere=size[0])
+                yield _reach(axes, centre, sphere=size[0])
             case mujoco.mjtGeom.mjGEOM_CYLINDER:
-                low, high = _around(axes, disc=size[0], line=size[1])
+                yield _reach(axes, centre, disc=size[0], line=size[1])
             case mujoco.mjtGeom.mjGEOM_MESH:
                 mesh = model.geom_dataid[g]
                 first = model.mesh_vertadr[mesh]
-                vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]] @ axes.T
-                low, high = vertices.min(0), vertices.max(0)
+                yield _reach_of_points(model.mesh_vert[first : first + model.mesh_vertnum[mesh]] @ axes.T + centre)
             case _:
-                low, high = _around(axes, box=size)
-        boxes.append(np.stack([low, high]) + model.geom_pos[g] - origin)
-    return _union(boxes)
+                yield _reach(axes, centre, box=size)
 
 
-def _around(
-    axes: np.ndarray, sphere: float = 0.0, disc: float = 0.0, line: float = 0.0, box: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of the box round the sum of a sphere, a disc and a line along z, and a box."""
-    z = axes[:, 2]
-    half = sphere + disc * np.sqrt(np.clip(1 - z**2, 0, None)) + line * np.abs(z)
-    half = half + (0.0 if box is None else np.abs(axes) @ box)
-    return -half, half
+def _reach(
+    axes: np.ndarray,
+    centre: np.ndarray,
+    sphere: float = 0.0,
+    disc: float = 0.0,
+    line: float = 0.0,
+    box: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return how far (2, 13) the sum of a sphere, a disc and a line along z, and a box reaches along `DIRECTIONS`."""
+    along = DIRECTIONS @ axes
+    half = sphere + disc * np.hypot(along[:, 0], along[:, 1]) + line * np.abs(along[:, 2])
+    half = half + (0.0 if box is None else np.abs(along) @ box)
+    return np.stack([-half, half]) + DIRECTIONS @ centre
 
 
-def _union(boxes: list[np.ndarray]) -> np.ndarray | None:
-    if not boxes:
-        return None
-    return np.stack([np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)])
+def _reach_of_points(points: np.ndarray) -> np.ndarray:
+    along = points @ DIRECTIONS.T
+    return np.stack([along.min(0), along.max(0)])
 
 
 def read_yourdfpy(path: Path) -> Reading:
@@ -156,38 +177,34 @@ def read_yourdfpy(path: Path) -> Reading:
         efforts={n: j.limit.effort for n, j in joints.items()},
         dampings={n: j.dynamics.damping for n, j in joints.items()},
         extents={
-            name: box
+            name: np.stack(shapes)
             for name, link in robot.link_map.items()
-            if (box := _yourdfpy_box(link, centres[name][:3, 3], path.parent)) is not None
+            if (shapes := [_yourdfpy_reach(c, centres[name][:3, 3], path.parent) for c in link.collisions])
         },
         poses=poses,
     )
 
 
-def _yourdfpy_box(link: Any, origin: np.ndarray, folder: Path) -> np.ndarray | None:
-    boxes = []
-    for collision in link.collisions:
-        pose, shape = np.eye(4) if collision.origin is None else collision.origin, collision.geometry
-        axes = pose[:3, :3]
-        if shape.sphere:
-            low, high = _around(axes, sphere=shape.sphere.radius)
-        elif shape.cylinder:
-            low, high = _around(axes, disc=shape.cylinder.radius, line=shape.cylinder.length / 2)
-        elif shape.box:
-            low, high = _around(axes, box=np.asarray(shape.box.size) / 2)
-        else:
-            import trimesh
+def _yourdfpy_reach(collision: Any, origin: np.ndarray, folder: Path) -> np.ndarray:
+    pose, shape = np.eye(4) if collision.origin is None else collision.origin, collision.geometry
+    axes, centre = pose[:3, :3], pose[:3, 3] - origin
+    if shape.sphere:
+        return _reach(axes, centre, sphere=shape.sphere.radius)
+    if shape.cylinder:
+        return _reach(axes, centre, disc=shape.cylinder.radius, line=shape.cylinder.length / 2)
+    if shape.box:
+        return _reach(axes, centre, box=np.asarray(shape.box.size) / 2)
+    import trimesh
 
-            vertices = trimesh.load_mesh(folder / shape.mesh.filename).vertices @ axes.T
-            low, high = vertices.min(0), vertices.max(0)
-        boxes.append(np.stack([low, high]) + pose[:3, 3] - origin)
-    return _union(boxes)
+    return _reach_of_points(trimesh.load_mesh(folder / shape.mesh.filename).vertices @ axes.T + centre)
 
 
 def _pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3] = rotation.reshape(3, 3)
-    pose[:3, 3] = position
+    """Return rotations (..., 9) and positions (..., 3) as matrices (..., 4, 4)."""
+    pose = np.zeros((*position.shape[:-1], 4, 4))
+    pose[..., :3, :3] = rotation.reshape(*position.shape[:-1], 3, 3)
+    pose[..., :3, 3] = position
+    pose[..., 3, 3] = 1.0
     return pose
 
 

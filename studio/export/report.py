@@ -1,5 +1,6 @@
 """report.html: what a person who opens the bundle wants to know, on one page."""
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -300,7 +301,8 @@ def _tool(tool: Loading, sheet: Sheet) -> str:
     text = tool.text(sheet.design.robot, package_name(sheet.design.task), size)
     lacks = "" if tool.needs in sheet.formats else f"Not in this bundle: export it with the format {tool.needs}."
     notes = " ".join(filter(None, (lacks, tool.note.replace("{robot}", sheet.design.robot), tool.untried)))
-    said = f"<p class='dim small'>{escape(notes)}" if notes else ""
+    marked = re.sub(r"`(.+?)`", r"<code>\1</code>", escape(notes))
+    said = f"<p class='dim small'>{marked}" if notes else ""
     return f"<h3>{escape(tool.tool)}</h3><div><pre>{escape(text)}</pre>{said}</div>"
 
 

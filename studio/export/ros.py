@@ -1,7 +1,7 @@
 """A URDF and its meshes as a ROS 2 description package: `colcon build` takes it as it is, a launch file shows it."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -30,10 +30,18 @@ def ros_package(task: str, robot: str, urdf: bytes, files: Mapping[str, bytes], 
     package = {
         # Without a declaration of its encoding, which Gazebo's spawner refuses in a text.
         f"urdf/{robot}.urdf": ElementTree.tostring(root, encoding="unicode").encode("ascii", "xmlcharrefreplace"),
-        "meshes/.keep": b"",  # CMake installs the folder, whether there are meshes or not
         **meshes,
+        **package_papers(task, robot, root_of(root), size),
     }
-    words = {"PACKAGE": name, "ROBOT": robot, "TASK": task, "ROOT": _root_of(root), "DISTANCE": f"{2.5 * size:.3g}"}
+    return {f"{FOLDER}/{name}/{path}": content for path, content in package.items()}
+
+
+def package_papers(task: str, robot: str, root: str, size: float) -> dict[str, bytes]:
+    """Return what the package of a `robot` with the link `root` holds beside the robot itself, by path inside of it."""
+    papers = {"meshes/.keep": b""}  # CMake installs the folder, whether there are meshes or not
+    words = {
+        "PACKAGE": package_name(task), "ROBOT": robot, "TASK": task, "ROOT": root, "DISTANCE": f"{2.5 * size:.3g}",
+    }  # fmt: skip
     for template, path in (
         ("package.xml", "package.xml"), ("CMakeLists.txt", "CMakeLists.txt"),
         ("display.launch.py.txt", "launch/display.launch.py"), ("display.rviz", "rviz/display.rviz"),
@@ -41,8 +49,13 @@ def ros_package(task: str, robot: str, urdf: bytes, files: Mapping[str, bytes], 
         text = (_TEMPLATES / template).read_text(encoding="utf-8")
         for word, value in words.items():
             text = text.replace(f"@{word}@", value)
-        package[path] = text.encode()
-    return {f"{FOLDER}/{name}/{path}": content for path, content in package.items()}
+        papers[path] = text.encode()
+    return papers
+
+
+def in_packages(files: Iterable[str], robot: str) -> list[str]:
+    """Return the paths of a robot's URDFs in ROS packages."""
+    return [path for path in files if path.startswith(f"{FOLDER}/") and path.endswith(f"/urdf/{robot}.urdf")]
 
 
 def plain_urdf(path: str, content: bytes) -> bytes:
@@ -57,7 +70,7 @@ def plain_urdf(path: str, content: bytes) -> bytes:
     return ElementTree.tostring(root)
 
 
-def _root_of(urdf: ElementTree.Element) -> str:
+def root_of(urdf: ElementTree.Element) -> str:
     """Return the link that no joint carries."""
     carried = {child.get("link") for child in urdf.iterfind("joint/child")}
     return next(link.get("name", "") for link in urdf.iter("link") if link.get("name") not in carried)

@@ -257,17 +257,19 @@ def servo_html(table: ServoTable) -> str:
     return f"""<p>{escape(verdict(table))}. {escape(_about(sheet))}
 <div class=plots>{_plots(table)}</div>
 <p class="dim small">Bars: {SHARE:g}&nbsp;% of the time. Pale: the peak. Red: the servo does not suffice.
-<table><thead><tr><th><th colspan=3>torque, N&nbsp;m<th colspan=3>speed, rad/s<th>load line<th></tr>
-<tr><th>joint<th>peak<th>{SHARE:g}&nbsp;%<th>servo, stall<th>peak<th>{SHARE:g}&nbsp;%<th>servo, no load
-<th>{SHARE:g}&nbsp;%<th></tr></thead>{rows}</table>
-<p class=dim>Sizes over {table.instants} instants of {table.episodes} episodes. Load line: the share that is used of
+<table><thead><tr><th><th colspan=3 class=n>torque, N&nbsp;m<th colspan=3 class=n>speed, rad/s
+<th class=n>load line<th></tr>
+<tr><th>joint<th class=n>peak<th class=n>{SHARE:g}&nbsp;%<th class=n>servo, stall
+<th class=n>peak<th class=n>{SHARE:g}&nbsp;%<th class=n>servo, no load
+<th class=n>{SHARE:g}&nbsp;%<th></tr></thead>{rows}</table>
+<p class=dim>Sizes over {table.instants:,} instants of {table.episodes} episodes. Load line: the share that is used of
 what a DC motor can do at the speed of the moment, on a line from stall torque to no-load speed. Red: the servo does not
 suffice. Amber: the torque is above the rated torque, for steady work, in more than {100 - SHARE:g}&nbsp;% of the time.
 {outside}
 <p>{escape(table.assumed)}
 <details><summary>All servos of the table</summary>
-<table><thead><tr><th>servo<th>V<th>stall N&nbsp;m<th>rated N&nbsp;m<th>no load rad/s<th>g<th>mm<th>USD each
-<th>suffices for</tr></thead>{others}</table>
+<table><thead><tr><th>servo<th class=n>V<th class=n>stall N&nbsp;m<th class=n>rated N&nbsp;m<th class=n>no load rad/s
+<th class=n>g<th>mm<th class=n>USD each<th>suffices for</tr></thead>{others}</table>
 <p class=dim>Read at{read}</details>
 """
 

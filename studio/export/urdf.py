@@ -29,6 +29,8 @@ CARRIER_MASS = 2e-6
 MESHES = "meshes_urdf"
 WORLD = "world"
 """Name of the root link of a robot that stands fixed, which readers know."""
+DRIVES = ("transmission", "ros2_control")
+"""Elements of a URDF that say what drives its joints."""
 _UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 

@@ -7,23 +7,28 @@ centres and moments of inertia, joint limits, and where every body and site stan
 import importlib.util
 import math
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
-from studio.export.archive import check_path
+from studio.export.archive import unpack
 from studio.export.check import Check, relative, worst
 from studio.export.errors import ExportError
 from studio.export.readings import Reading, read_mjcf, read_urdf, read_yourdfpy
-from studio.export.ros import FOLDER, plain_urdf
-from studio.export.urdf import WORLD
+from studio.export.ros import FOLDER, in_packages, plain_urdf
+from studio.export.urdf import DRIVES, WORLD
 
 # MuJoCo would keep up to 500 MB of meshes by their paths, which are those of folders that are gone.
 mujoco.mj_setCacheCapacity(mujoco.mj_getCache(), 0)
 
+_WORDS = frozenset((
+    "robot", "mujoco", "compiler", "link", "inertial", "origin", "mass", "inertia", "visual", "collision", "geometry",
+    "box", "cylinder", "sphere", "mesh", "material", "color", "joint", "parent", "child", "axis", "limit", "dynamics",
+))  # fmt: skip
+"""Elements of a URDF that are compared or only shown; what else one holds, such as mimic, would pass unseen."""
 POSTURES = 100
 POSITION_ALLOWED = 1e-9  # m
 ROTATION_ALLOWED = 1e-9
@@ -49,35 +54,48 @@ def verify(
     A file that can't be read gives a failed check, not an exception.
     """
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for path, content in files.items():
-            check_path(path)
-            (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            (folder / path).write_bytes(content)
-        checks = _read_and_compare(folder, robot, None if model is None else read_mjcf(model, zero), only_mujoco)
-    for path in (f"{robot}.urdf", *_in_packages(files, robot)):
+        unpack(files, Path(name))
+        return verify_folder(Path(name), files, model, robot=robot, zero=zero, only_mujoco=only_mujoco)
+
+
+def load_model(path: Path) -> mujoco.MjModel:
+    """Return what MuJoCo makes of an MJCF or URDF."""
+    return mujoco.MjModel.from_xml_path(str(path))
+
+
+def verify_folder(
+    folder: Path,
+    files: Mapping[str, bytes],
+    model: mujoco.MjModel | None = None,
+    *,
+    robot: str = "robot",
+    zero: Mapping[str, float] | None = None,
+    only_mujoco: bool = False,
+    load: Callable[[Path], mujoco.MjModel] = load_model,
+) -> list[Check]:
+    """Do as `verify` with files that lie in a `folder`, and that MuJoCo reads by `load`."""
+    reference = None if model is None else read_mjcf(model, zero)
+    checks = _read_and_compare(folder, robot, reference, only_mujoco, load)
+    for path in (f"{robot}.urdf", *in_packages(files, robot)):
         if path in files:
             checks.append(_check_urdf(path, files))
     return checks
 
 
-def _in_packages(files: Iterable[str], robot: str) -> list[str]:
-    """Return the paths of the URDFs in ROS packages."""
-    return [path for path in files if path.startswith(f"{FOLDER}/") and path.endswith(f"/urdf/{robot}.urdf")]
-
-
-def _read_and_compare(folder: Path, robot: str, reference: Reading | None, only_mujoco: bool) -> list[Check]:
+def _read_and_compare(
+    folder: Path, robot: str, reference: Reading | None, only_mujoco: bool, load: Callable[[Path], mujoco.MjModel]
+) -> list[Check]:
     xml, archive, urdf = (folder / f"{robot}{ending}" for ending in (".xml", ".mjz", ".urdf"))
     readers: list[tuple[str, Callable[[], Reading]]] = []
     if xml.exists():
-        readers.append((f"{xml.name} in MuJoCo", lambda: read_mjcf(_load(xml))))
+        readers.append((f"{xml.name} in MuJoCo", lambda: read_mjcf(load(xml))))
     if archive.exists():
         readers.append((f"{archive.name} in MuJoCo", lambda: read_mjcf(mujoco.MjSpec.from_zip(str(archive)).compile())))
     if urdf.exists():
-        readers.append((f"{urdf.name} in MuJoCo", lambda: read_urdf(_load(urdf))))
+        readers.append((f"{urdf.name} in MuJoCo", lambda: read_urdf(load(urdf))))
         if not only_mujoco and importlib.util.find_spec("yourdfpy"):
             readers.append((f"{urdf.name} in yourdfpy", lambda: read_yourdfpy(urdf)))
-    for path in _in_packages((p.relative_to(folder).as_posix() for p in folder.rglob("*.urdf")), robot):
+    for path in in_packages((p.relative_to(folder).as_posix() for p in folder.rglob("*.urdf")), robot):
         readers.append((f"{path} in MuJoCo", lambda path=path: _read_packaged(folder, path)))
     checks = []
     for name, read in readers:
@@ -91,7 +109,7 @@ def _read_and_compare(folder: Path, robot: str, reference: Reading | None, only_
             checks.append(Check(name, math.inf, 0.0, f"can't be read: {error}"))
     if (folder / "scene.xml").exists():
         try:
-            _load(folder / "scene.xml")
+            load(folder / "scene.xml")
             checks.append(Check("scene.xml in MuJoCo: read", 0.0, 0.0))
         except ValueError as error:
             checks.append(Check("scene.xml in MuJoCo", math.inf, 0.0, f"can't be read: {error}"))
@@ -102,7 +120,7 @@ def _read_packaged(folder: Path, path: str) -> Reading:
     """Read the URDF of a ROS package, with its meshes by plain paths."""
     plain = folder / "packaged.urdf"
     plain.write_bytes(plain_urdf(path, (folder / path).read_bytes()))
-    return read_urdf(_load(plain))
+    return read_urdf(load_model(plain))
 
 
 def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
@@ -116,24 +134,37 @@ def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:
     ]
     checks = [worst(f"{name}: {what}", RELATIVE_ALLOWED, relative(a, b)) for what, a, b in properties]
     extents = {
-        body: float(np.abs(reading.extents[body] - box).max()) if body in reading.extents else math.inf
-        for body, box in reference.extents.items()
+        body: _farthest(shapes, reading.extents[body]) if body in reading.extents else math.inf
+        for body, shapes in reference.extents.items()
     }
     checks.append(worst(f"{name}: collision extents (m)", POSITION_ALLOWED, extents))
     checks.append(worst(f"{name}: nothing added", 0.0, _added(reference, reading)))
     positions: dict[str, float] = {}
     rotations: dict[str, float] = {}
-    for posture in postures(reference.limits):
-        found = reading.poses(posture | dict.fromkeys(reading.limits.keys() - posture.keys(), 0.0))
-        for body, pose in reference.poses(posture).items():
-            off = np.abs(found[body] - pose) if body in found else np.full((4, 4), math.inf)
-            positions[body] = max(positions.get(body, 0.0), float(off[:3, 3].max()))
-            rotations[body] = max(rotations.get(body, 0.0), float(off[:3, :3].max()))
+    asked = postures(reference.limits)
+    known = [reference.poses(posture) for posture in asked]
+    found = [reading.poses(posture | dict.fromkeys(reading.limits.keys() - posture.keys(), 0.0)) for posture in asked]
+    nowhere = np.full((4, 4), math.inf)
+    for body in known[0]:
+        off = np.abs(np.stack([f.get(body, nowhere) for f in found]) - np.stack([k[body] for k in known]))
+        positions[body] = float(off[:, :3, 3].max())
+        rotations[body] = float(off[:, :3, :3].max())
     return [
         *checks,
         worst(f"{name}: positions in {POSTURES} postures (m)", POSITION_ALLOWED, positions),
         worst(f"{name}: rotations in {POSTURES} postures", ROTATION_ALLOWED, rotations),
     ]
+
+
+def _farthest(shapes: np.ndarray, found: np.ndarray) -> float:
+    """Return how far (m) any of a body's shapes (n, 2, 13) is from the nearest one found (m, 2, 13), both ways.
+
+    The order plays no part; another number of shapes is infinitely far.
+    """
+    if len(shapes) != len(found):
+        return math.inf
+    between = np.abs(shapes[:, None] - found[None]).max(axis=(2, 3))
+    return float(max(between.min(0).max(), between.min(1).max()))
 
 
 def _added(reference: Reading, reading: Reading) -> dict[str, float]:
@@ -161,10 +192,6 @@ def postures(limits: Mapping[str, tuple[float, float]]) -> list[dict[str, float]
     return [{name: value(*limit) for name, limit in limits.items()} for _ in range(POSTURES)]
 
 
-def _load(path: Path) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_path(str(path))
-
-
 def _check_urdf(path: str, files: Mapping[str, bytes]) -> Check:
     """Check what most readers let pass: masses and inertias that can be, limits that hold zero, names, meshes."""
     name = f"{path}: valid"
@@ -176,6 +203,9 @@ def _check_urdf(path: str, files: Mapping[str, bytes]) -> Check:
     faults = [*_faults_of_inertials(root), *_faults_of_joints(root)]
     names = [element.get("name", "") for element in [*root.findall("link"), *root.findall("joint")]]
     faults += [f"two links or joints are named {n}" for n in sorted({n for n in names if names.count(n) > 1})]
+    driven = {element for kind in DRIVES for block in root.findall(kind) for element in block.iter()}
+    strange = {str(element.tag) for element in root.iter() if element not in driven} - _WORDS
+    faults += [f"it holds <{tag[:40]}>, which no export has" for tag in sorted(strange)]
     meshes = {element.get("filename", "") for element in root.iter("mesh")}
     faults += [f"mesh {mesh} is missing" for mesh in sorted(meshes - set(files))]
     return Check(name, float(len(faults)), 0.0, "; ".join(faults))

@@ -257,12 +257,9 @@ class Pages:
         return axes
 
     def _chart(self, sheet: Sheet, box: Box, moment: Moment, takes: Sequence[Take]) -> None:
-        plays = self._film.kind == "episode" or moment.act == "episode" or (
-            moment.act == "closing" and self._script.has_episode
-        )  # fmt: skip
         colours: tuple[Colour, ...] = (A, B)
         box = (box[0], box[1], box[2] - _LABELS, box[3])
-        if plays and "return" in self._axes:
+        if self._script.plays(moment) and "return" in self._axes:
             x, y = self._axes["return"]
             _axes(sheet, box, "Return so far", x, y)
             marked = {} if self._pair else milestone_times(takes[0])

@@ -23,6 +23,12 @@ from studio.viewer.take import FRAMES_PER_SECOND, Shot, Take, make_take
 
 Kind = Literal["evolution", "episode"]
 Act = Literal["opening", "evolution", "standing", "episode", "closing"]
+SIZES = {".mp4": (1920, 1080), ".gif": (960, 540)}
+"""Size in pixels of a film that is not asked to have another one."""
+RATES = {".mp4": 30, ".gif": 20}
+"""Frames per second of a film that is not asked to have another rate."""
+STILL_WIDTH, STILL_DPI = 85.0, 300
+"""Width in mm of a still that is not asked to be otherwise, a column of a journal, and its pixels per inch."""
 _OPENING, _STANDING, _CLOSING = 1.0, 1.2, 1.5
 """Seconds for which the first picture stands, the last design of an evolution, and the last picture."""
 _MOST_BODIES = 240
@@ -215,7 +221,7 @@ class Script:
                 "take many times as long; give --seconds fewer, or another episode"
             )
         self.acts: list[tuple[Act, int]] = [(act, max(1, round(seconds * film.fps))) for act, seconds in acts]
-        self.has_episode = episode > 0
+        self._has_episode = episode > 0
 
     @property
     def frames(self) -> int:
@@ -234,7 +240,7 @@ class Script:
     def _moment(self, act: Act, frame: int, count: int) -> Moment:
         if act == "episode":
             return Moment(act, self.last, frame / self.film.fps)
-        if act == "closing" and self.has_episode:
+        if act == "closing" and self._has_episode:
             return Moment(act, self.last, LONGEST)  # beyond its end: a shorter episode stands still as well
         if act == "evolution":
             bodies = min(count, _MOST_BODIES)
@@ -243,11 +249,15 @@ class Script:
         begins = act == "opening" and self.film.kind == "evolution"
         return Moment(act, self.first if begins else self.last, 0.0)
 
+    def plays(self, moment: Moment) -> bool:
+        """Tell whether episodes are seen in a frame; where not, designs stand in their start posture."""
+        ends = moment.act == "closing" and self._has_episode
+        return self.film.kind == "episode" or moment.act == "episode" or ends
+
     def picture(self, side: int, moment: Moment) -> tuple[Take, int]:
         """Return the take that is seen on a side, and which of its frames."""
         story = self.stories[side]
-        plays = self.film.kind == "episode" or moment.act == "episode" or (moment.act == "closing" and self.has_episode)
-        if plays and story.episode is not None:
+        if story.episode is not None and self.plays(moment):
             return story.episode, min(round(moment.time * FRAMES_PER_SECOND), story.episode.frames - 1)
         return story.body(min(moment.iteration, story.iterations[-1])), 0
 

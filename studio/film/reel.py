@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from morph_core.durable import write_file
+from morph_core.durable import where_written, write_file
 from studio.film.errors import FilmError
 from studio.film.page import Pages
 from studio.film.plan import Film, Script
@@ -73,8 +73,9 @@ class Reel:
             raise FilmError(f'a film ends in {" or ".join(ENDINGS)}, not "{out.suffix[:20]}"')
         if not out.parent.is_dir():
             raise FilmError(f"there is no folder {out.parent} to write into")
-        if out.is_dir():
-            raise FilmError(f"{out} is a folder; give the path of a file")
+        out = where_written(out)
+        if out.exists() and not out.is_file():
+            raise FilmError(f"{out} is a folder or a device; give the path of a file")
         find_font()
         ffmpeg, script = find_ffmpeg(), Script(film)
         reel = cls(film, out, ffmpeg, script.frames)
@@ -196,7 +197,8 @@ class Reel:
         film, how = self.film, [*_MP4, "-f", "mp4"] if self._loss else [*_LOSSLESS, "-f", "matroska"]
         command = [
             self.ffmpeg, "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s",
-            f"{film.width}x{film.height}", "-r", str(film.fps), "-i", "-", *how, "-g", str(film.fps), *_SAME, str(path),
+            f"{film.width}x{film.height}", "-r", str(film.fps), "-i", "-", *how, "-g", str(film.fps), *_SAME,
+            _address(path),
         ]  # fmt: skip
         # In a session of its own: Ctrl-C is ours to obey, and ffmpeg ends when its frames do.
         process = subprocess.Popen(
@@ -218,28 +220,29 @@ class Reel:
 
     def join(self) -> None:
         """Put the parts together and give them the film's name; they are removed."""
-        listed = self.folder / "parts.txt"
+        listed = "parts.txt"
         lines = [f"file '{self.path(part).name}'" for part in self.parts()]
-        listed.write_text("ffconcat version 1.0\n" + "\n".join(lines) + "\n")
+        (self.folder / listed).write_text("ffconcat version 1.0\n" + "\n".join(lines) + "\n", encoding="ascii")
         ending = self.out.suffix.lower()
         draft = self.out.with_name(f".{self.out.name[:40]}.{secrets.token_hex(4)}{ending}")
-        source = ["-f", "concat", "-safe", "0", "-i", str(listed)]
+        source, target = ["-f", "concat", "-i", listed], _address(draft)
         try:
             if ending == ".mp4":
-                self._run([*source, "-c", "copy", "-movflags", "+faststart", *_SAME, str(draft)])
+                self._run([*source, "-c", "copy", "-movflags", "+faststart", *_SAME, target])
             else:
-                palette = self.folder / "palette.png"
-                self._run([*source, "-vf", "palettegen=stats_mode=diff", *_SAME, str(palette)])
+                palette = "palette.png"
+                self._run([*source, "-vf", "palettegen=stats_mode=diff", *_SAME, palette])
                 dither = "paletteuse=dither=bayer:bayer_scale=4:diff_mode=rectangle"
-                self._run([*source, "-i", str(palette), "-filter_complex", dither, *_SAME, str(draft)])
+                self._run([*source, "-i", palette, "-filter_complex", dither, *_SAME, target])
             draft.replace(self.out)
         finally:
             draft.unlink(missing_ok=True)
         self.clear()
 
     def _run(self, arguments: Sequence[str]) -> None:
+        """Run ffmpeg in the folder of the parts, which it is given by their plain names."""
         command = [self.ffmpeg, "-v", "error", "-y", *arguments]
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False, cwd=self.folder)
         if done.returncode:
             raise FilmError(self._why(done.stderr))
 
@@ -253,6 +256,11 @@ class Reel:
             )
         last = words.splitlines()[-1] if words else "it gave no reason"
         return f"ffmpeg can't encode the film: {last[:300]}; what still works: a still (--still FILE.svg)"
+
+
+def _address(path: Path) -> str:
+    """Return a path as ffmpeg must be told it, which takes what stands before a colon for a protocol."""
+    return f"file:{path.resolve()}"
 
 
 def _work(reel: Reel, parts: Sequence[range], told: Connection) -> None:

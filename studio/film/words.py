@@ -112,10 +112,7 @@ def _episode_words(story: Story) -> str:
 
 def _episode_shown(script: Script, story: Story, moment: Moment) -> Take | None:
     """Return the episode that is played in a frame; None where a design stands in its start posture."""
-    if script.film.kind == "episode":
-        return story.episode
-    plays = moment.act == "episode" or (moment.act == "closing" and script.has_episode)
-    return story.episode if plays else None
+    return story.episode if script.plays(moment) else None
 
 
 def shown_iteration(script: Script, side: int, moment: Moment) -> int:

@@ -13,6 +13,8 @@ let events = null;
 let curves = null; // the newest ones, to be drawn again in other colours
 let follows = true;
 let seated = false;
+let alone = false; // looking at a run by oneself, in place of what the presenter shows
+let shown = null; // the run that the presenter shows
 
 // --- what is said ----------------------------------------------------------------------------------------------------
 
@@ -34,7 +36,10 @@ function number(value, words) {
   return [value, small];
 }
 
-function showStage({ phase, watching, seen }) {
+function showStage({ phase, watching, seen, runs }) {
+  shown = seen.run;
+  offer(runs);
+  find("theirs").textContent = seen.run ? `The presenter is at iteration ${seen.iteration}${seen.run === find("which").value ? "" : " of another run"}.` : "";
   find("title").textContent = seen.title || "MORPH Studio";
   find("doing").textContent = [seen.method && `method ${seen.method}`, seen.doing, seen.status].filter(Boolean).join(" · ");
   document.title = seen.run ? `${seen.title} · iteration ${seen.iteration}` : "Watching · MORPH Studio";
@@ -114,7 +119,7 @@ addEventListener("resize", () => charts.forEach((chart) => chart.resize()));
 // --- the scene -------------------------------------------------------------------------------------------------------
 
 function openScene() {
-  if (!has3d) return;
+  if (!has3d || alone) return;
   scene.src = `audience/viewer/${key}/${document.documentElement.dataset.theme === "dark" ? "?darkMode" : ""}`;
 }
 
@@ -139,6 +144,48 @@ find("theme").addEventListener("click", () => {
   drawCurves();
   openScene();
 });
+
+// --- on one's own ----------------------------------------------------------------------------------------------------
+
+function offer(runs) {
+  const which = find("which"), chosen = which.value, said = runs.join("\n");
+  find("alone").hidden = alone || !runs.length;
+  if (which.dataset.said === said) return;
+  which.dataset.said = said;
+  which.replaceChildren(...runs.map((run) => new Option(run, run)));
+  if (runs.includes(chosen)) which.value = chosen;
+}
+
+// Show the evolution of the run that is chosen: a page that holds all of it, and asks the server for nothing.
+function openEvolution() {
+  find("opening").hidden = false;
+  find("evolution").src = `audience/runs/${encodeURIComponent(find("which").value)}/evolution.html?${Date.now()}#${document.documentElement.dataset.theme}`;
+}
+
+function setAlone(wanted) {
+  if (alone === wanted) return;
+  alone = wanted;
+  document.body.classList.toggle("alone", wanted);
+  find("own").hidden = !wanted;
+  find("alone").hidden = wanted;
+  if (wanted) {
+    if (shown) find("which").value = shown;
+    scene.removeAttribute("src"); // one scene at a time: a phone has no room for two
+    openEvolution();
+    find("back").focus();
+  } else {
+    find("evolution").removeAttribute("src");
+    openScene();
+    charts.forEach((chart) => chart.resize());
+    find("alone").focus();
+  }
+}
+
+find("alone").addEventListener("click", () => setAlone(true));
+find("back").addEventListener("click", () => setAlone(false));
+find("anew").addEventListener("click", openEvolution);
+find("which").addEventListener("change", openEvolution);
+find("evolution").addEventListener("load", () => { find("opening").hidden = Boolean(find("evolution").getAttribute("src")); });
 
 // --- the server ------------------------------------------------------------------------------------------------------
 
@@ -169,6 +216,8 @@ function listen() {
 function stop(sentence, again) {
   events.close();
   seated = false;
+  setAlone(false);
+  offer([]);
   scene.removeAttribute("src");
   find("watching").textContent = "";
   say(sentence, again !== null);

@@ -14,6 +14,7 @@ function showCaption(text) {
   const said = text ? JSON.parse(text) : { label: "", presents: false };
   caption.hidden = !said.label && !said.presents;
   present(said.presents);
+  said.label = said.label.replaceAll(/(\d) (?=\S)/g, "$1\u00a0"); // a number stays with its unit
   for (const part of ["label", "title", "success", "iteration", "change"]) find(`caption-${part}`).textContent = said[part] ?? "";
   find("caption-label").hidden = !said.label;
   find("caption-detail").textContent = [said.detail, said.playing].filter(Boolean).join("\n");
@@ -42,6 +43,8 @@ if (has3d) {
   present(view.presents);
   setInterval(lookAtCaption, LOOK);
   viewer.addEventListener("load", () => (told = null));
+  find("present").hidden = false;
+  find("present").addEventListener("click", () => press("f"));
   enter.addEventListener("click", () => press("Enter"));
   find("caption-leave").addEventListener("click", () => press("Escape"));
 }

@@ -134,7 +134,7 @@ export class Designs {
         },
       },
       parallelAxis: [
-        ...parameters.map((p, i) => vertical(`${p.name.replaceAll("_", " ").replace(" ", "\n")} [${units[i].name}]`, i)),
+        ...parameters.map((p, i) => vertical(p.name.replaceAll("_", " ") + (units[i].name ? `\n[${units[i].name}]` : ""), i)),
         vertical("success", parameters.length, { min: 0, max: 1, scale: false }),
         vertical("return", dimension),
       ],

@@ -97,7 +97,7 @@ function columns({ onStar, onOpen }, all) {
       },
     },
     {
-      title: "state", field: "status", width: 92, responsive: 1,
+      title: "state", field: "status", width: 106, responsive: 1,
       formatter: (cell) => {
         const chip = made("span", "chip");
         chip.dataset.status = cell.getValue();
@@ -116,7 +116,7 @@ function columns({ onStar, onOpen }, all) {
     { title: "success", field: "success", width: 78, responsive: 2, ...numeric, headerTooltip: "Share of episodes that reached the goal on Hw-Phy, sampled policy, at the last evaluation; below, at the best one", formatter: measured(share, "success") },
     { title: "return", field: "return", width: 82, responsive: 3, ...numeric, headerTooltip: "Mean return of the same episodes; below, at the best evaluation", formatter: measured(number, "episode_return") },
     { title: "steps", field: "steps", width: 70, responsive: 5, ...numeric, headerTooltip: "Environment steps of the trajectories", formatter: plain(steps) },
-    { title: "time", field: "duration", width: 76, responsive: 5, ...numeric, headerTooltip: "How long trainers were at work, pauses included", formatter: plain(duration) },
+    { title: "time", field: "duration", width: 92, responsive: 5, ...numeric, headerTooltip: "How long trainers were at work, pauses included", formatter: plain(duration) },
     {
       title: "tags", field: "tags", minWidth: 80, widthGrow: 1, responsive: 7, sorter: longest,
       formatter: (cell) => {

@@ -325,8 +325,9 @@ function open(run, iteration) {
 
 // --- the comparison --------------------------------------------------------------------------------------------------
 
-async function compare(runs) {
-  const number = ++drawing;
+async function compare(chosen) {
+  const number = ++drawing, runs = chosen.filter((run) => known.get(run)?.status !== "unreadable");
+  if (!runs.length) return tell("There is nothing to compare: what was selected can't be read. Choose other runs.");
   try {
     const words = new URLSearchParams(runs.map((run) => ["run", run]));
     const overlay = await ask(`api/traces?${words}`);
@@ -335,6 +336,8 @@ async function compare(runs) {
     find("comparison").hidden = false;
     draw();
     remember();
+    const left = chosen.length - runs.length;
+    if (left) tell(`${counted(left)} that can't be read ${left === 1 ? "is" : "are"} left out.`);
   } catch (error) {
     tell(error.message);
   }

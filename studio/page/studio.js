@@ -12,6 +12,8 @@ const [chooser, chip, statusWord, doing, progress] = ["chooser", "chip", "status
 const [banner, words, dismiss, viewer, loading, theme] = ["banner", "words", "dismiss", "viewer", "loading", "theme"].map(find);
 const [preview, first, title, plan] = ["preview", "first", "title", "plan"].map(find);
 
+const BROKEN = { failed: "has failed", lost: "is lost", unreadable: "is unreadable" };
+
 const has3d = Boolean(document.createElement("canvas").getContext("webgl2"));
 
 let boot = null;
@@ -168,6 +170,7 @@ const READABLE = `:root[data-mantine-color-scheme="light"] {
 :root[data-mantine-color-scheme="dark"] {
   --mantine-color-dimmed: #a9b1ba !important; --mantine-primary-color-filled: #5ba3ea !important;
 }
+.mantine-Notification-description { color: var(--mantine-color-text) !important; }
 :root[data-mantine-color-scheme="dark"] .mantine-Button-root:not([style*="--button-bg"]) { background: #2467ad !important; }`;
 
 viewer.addEventListener("load", () => {
@@ -197,10 +200,10 @@ function duration(seconds) {
 
 function describe(run) {
   const parts = [];
-  if (run.stage) parts.push(run.stage);
   if (run.iterations) parts.push(`iteration ${run.iteration} of ${run.iterations}`);
   if (run.eta_seconds !== null && run.status === "running") parts.push(`${duration(run.eta_seconds)} left`);
   if (run.success !== null) parts.push(`success ${percent(run.success)}`);
+  if (run.stage && run.stage !== run.status) parts.push(run.stage); // the last one is what a narrow page cuts off
   return parts.join("  ·  ");
 }
 
@@ -273,7 +276,7 @@ dismiss.addEventListener("click", () => {
 function sayRun(run) {
   if (refused) return say(refused, "run");
   const reason = run?.reason ? `: ${run.reason}` : "";
-  if (run && ["failed", "lost", "unreadable"].includes(run.status)) say(`${run.status}${reason}  (${run.id})`, "run");
+  if (run && run.status in BROKEN) say(`${run.id} ${BROKEN[run.status]}${reason}`, "run");
   else if (run?.status === "paused" && run.stage !== "paused") say(`paused${reason}`, "note");
   else if (!run && view.run) say(`${view.run} is no longer in the folder of runs: it was deleted or moved. Choose another run, or bring it back on the page of all runs.`, "note");
   else say("", "run");

@@ -10,7 +10,7 @@ const STEPS = [
   {
     title: "Watch it learn",
     words: "The scene plays the latest design, the curves on the left grow with each iteration. The timeline goes to any iteration; L follows the latest one again.",
-    place: () => tab("Timeline"),
+    place: () => tab("Timeline") ?? tab("Traces"),
   },
   {
     title: "Steer it",

@@ -11,14 +11,16 @@ from studio.robots.parts import MILLIMETRE, Part, body_of
 
 CHUNK = 100
 """Number of points that are measured at once."""
-NEAREST = 6
-"""Number of triangles that are tried first, before those that can be nearer."""
+TOGETHER = 16
+"""Number of triangles, neighbours of each other, that share a box: those of far boxes are not looked at."""
 ANGLES = 33
 """Number of angles of a joint at which its two shapes are tried."""
 PROMISED = 1.0
 """mm: prints are no farther from the shapes, but for joints that have no room."""
 NEAR = 0.5
 """mm: points that are nearer to their own link's print are not compared with its neighbours'."""
+_ASKEW = np.array([0.8613, 0.3947, 0.3203])
+"""Direction of a ray that meets no edge of what is drawn along the axes."""
 TOUCHING = 1e-6
 """mm: points as far inside a shape are on its surface."""
 
@@ -101,9 +103,13 @@ class _Print:
     def __init__(self, part: Part) -> None:
         if part.drilled is None:
             raise ValueError(f"{part.name} was not drawn for a printer")
-        vertices, faces = geometry.mesh(part.drilled.body)
+        self._solid = part.drilled.body
+        vertices, faces = geometry.mesh(self._solid)
         self._corners = vertices[faces]  # (F, 3, 3) mm
-        self._low, self._high = self._corners.min(1), self._corners.max(1)
+        self._boxes = np.stack([self._corners.min(1), self._corners.max(1)])  # (2, F, 3)
+        self._groups = grouped(self._corners.mean(1), TOGETHER)  # (G, TOGETHER)
+        low, high = self._boxes[:, self._groups]
+        self._group_boxes = np.stack([low.min(1), high.max(1)])  # (2, G, 3)
 
     def sample(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Return points (count, 3) of the surface, evenly spread."""
@@ -120,26 +126,20 @@ class _Print:
         return np.concatenate([np.zeros(0), *found])
 
     def encloses(self, points: np.ndarray) -> np.ndarray:
-        """Tell which points (N, 3) are inside: from there the surface is seen all round."""
-        a, b, c = np.moveaxis(self._corners[None] - points[:, None, None], 2, 0)  # (N, F, 3) each
-        length_a, length_b, length_c = (np.linalg.norm(corner, axis=2) for corner in (a, b, c))
-        volume = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
-        products = [np.einsum("nfi,nfi->nf", *pair) for pair in ((a, b), (b, c), (c, a))]
-        flat = length_a * length_b * length_c + np.sum(
-            [product * length for product, length in zip(products, (length_c, length_a, length_b), strict=True)], axis=0
-        )
-        return 2 * np.arctan2(volume, flat).sum(1) > 2 * np.pi
+        """Tell which points (N, 3) are inside: a ray from there leaves the surface once more often than it enters."""
+        away = 2 * np.ptp(self._corners, axis=(0, 1)).sum() * _ASKEW
+        return np.array([len(self._solid.ray_cast(tuple(point), tuple(point + away))) % 2 == 1 for point in points])
 
     def _distance(self, points: np.ndarray) -> np.ndarray:
-        # No triangle is nearer than the box round it.
-        at_least = np.zeros((len(points), len(self._low)))
-        for axis in range(3):
-            x = points[:, axis, None]
-            at_least += np.maximum(np.maximum(self._low[:, axis] - x, x - self._high[:, axis]), 0) ** 2
-        nearest = np.argpartition(at_least, NEAREST, axis=1)[:, :NEAREST]
-        apart = self._apart(points.repeat(NEAREST, axis=0), nearest.ravel()).reshape(-1, NEAREST).min(1)
-        of_point, face = np.nonzero(at_least < apart[:, None] ** 2)
-        np.minimum.at(apart, of_point, self._apart(points[of_point], face))
+        # No triangle is nearer than the box round it and its neighbours.
+        at_least = _beside(points[:, None], self._group_boxes)  # (N, G)
+        faces = self._groups[at_least.argmin(1)]
+        apart = self._apart(points.repeat(TOGETHER, axis=0), faces.ravel()).reshape(-1, TOGETHER).min(1)
+        of_point, group = np.nonzero(at_least < apart[:, None])
+        of_point, faces = of_point.repeat(TOGETHER), self._groups[group].ravel()
+        nearer = _beside(points[of_point], self._boxes[:, faces]) < apart[of_point]
+        of_point, faces = of_point[nearer], faces[nearer]
+        np.minimum.at(apart, of_point, self._apart(points[of_point], faces))
         return apart
 
     def _apart(self, points: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -147,6 +147,23 @@ class _Print:
         from trimesh.triangles import closest_point
 
         return np.linalg.norm(closest_point(self._corners[faces], points) - points, axis=1)
+
+
+def grouped(places: np.ndarray, count: int) -> np.ndarray:
+    """Return the indices of places (N, 3) in groups (G, count) of neighbours; some stand in two of them."""
+    doublings = max(0, int(np.ceil(np.log2(len(places) / count))))
+    groups = np.resize(np.arange(len(places)), (1, count << doublings))
+    for _ in range(doublings):
+        inside = places[groups]
+        longest = np.ptp(inside, axis=1).argmax(1)
+        order = np.take_along_axis(inside, longest[:, None, None], 2)[..., 0].argsort(1)
+        groups = np.take_along_axis(groups, order, 1).reshape(2 * len(groups), -1)
+    return groups
+
+
+def _beside(points: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """Return how far points (..., 3) are from boxes, whose corners are (2, ..., 3)."""
+    return np.linalg.norm(np.maximum(np.maximum(boxes[0] - points, points - boxes[1]), 0), axis=-1)
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import mujoco
 import numpy as np
+from manifold3d import Manifold, Mesh64
 
 from morph_core.tasks.printed import DENSITY, Inertial, Moments
 from studio.robots import geometry
@@ -54,7 +56,7 @@ class Part:
         volume, skin = self.moments.volume / MILLIMETRE**3, SKIN * float(np.linalg.norm(normals, axis=1).sum()) / 2
         return (self.density / DENSITY * volume - skin) / (volume - skin)
 
-    @property
+    @cached_property
     def moments(self) -> Moments:
         """Integrals over the part's volume, in metres."""
         return geometry.moments(self.vertices, self.faces).scaled(MILLIMETRE)
@@ -63,6 +65,11 @@ class Part:
     def inertial(self) -> Inertial:
         """Mass properties of the part in the frame of its link, in SI units."""
         return self.moments.inertial(self.density)
+
+    @cached_property
+    def solid(self) -> Manifold:
+        """The body in the frame of its link, in mm."""
+        return Manifold(Mesh64(self.vertices, self.faces.astype(np.uint64)))
 
     @property
     def stl_path(self) -> str:

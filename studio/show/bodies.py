@@ -15,6 +15,7 @@ from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolderError, foreign, read_episode
 from morph_core.task import Task
 from studio.show.pack import Pack
+from studio.show.prints import Prints, Shape, angles_of, is_printed
 from studio.show.thin import thinned
 from studio.viewer.episode import episode_in
 from studio.viewer.figure import Figure, Mesh
@@ -34,6 +35,8 @@ class Body:
 
     figures: tuple[Figure, Figure, Figure]
     """The robot, what else moves, and what never moves."""
+    angles: tuple[float, ...] = ()
+    """rad: where the fingers of a hand whose prints are drawn stand on its palm."""
 
     @property
     def corners(self) -> list[np.ndarray]:
@@ -54,13 +57,16 @@ def _model(task: Task, phi: np.ndarray) -> mujoco.MjModel:
 
 
 def _placed(task: Task, phi: np.ndarray, model: mujoco.MjModel, qpos: np.ndarray) -> Body:
-    return Body(split(Figure.from_model(model, qpos), names_of(task.spec(phi))))
+    figures = split(Figure.from_model(model, qpos), names_of(task.spec(phi)))
+    return Body(figures, angles_of(task, phi) if is_printed(task) else ())
 
 
 @dataclass
 class Cast:
     """All parts that are seen in a run, in the order in which they came."""
 
+    prints: Prints | None = None
+    """What a hand is drawn with in place of its collision shapes."""
     parts: list[dict[str, object]] = field(default_factory=list)
     meshes: list[Mesh] = field(default_factory=list)
     boxed: bool = False
@@ -74,28 +80,42 @@ class Cast:
         numbers, sizes, poses = [], [], []
         for group, figure in zip(_GROUPS, body.figures, strict=True):
             for i in range(len(figure)):
-                mesh, size = figure.meshes[i], figure.sizes[i]
-                kind, place = (figure.kinds[i], -1) if mesh is None else self._mesh(mesh)
-                if mesh is not None and place < 0:
-                    size = np.abs(mesh.vertices).max(0)
                 colour = tuple(int(c) for c in figure.colours[i])
-                numbers.append(self._number(group, figure.names[i], kind, place, colour, set(numbers)))
-                sizes.append(size)
-                poses.append(np.concatenate([figure.positions[:, i], figure.wxyz[:, i]], 1))
+                for shape in self._shapes(body, figure, i):
+                    kind, place, size = self._drawn(shape, figure.sizes[i])
+                    numbers.append(self._number(group, shape.name, kind, place, colour, set(numbers)))
+                    sizes.append(size)
+                    poses.append(shape.pose)
         return numbers, np.array(sizes).reshape(-1, 3), np.stack(poses, 1)
 
-    def _mesh(self, mesh: Mesh) -> tuple[str, int]:
-        """Return what a mesh is drawn as, and its place among the meshes; -1 for the box that stands for it."""
+    def _shapes(self, body: Body, figure: Figure, i: int) -> list[Shape]:
+        """Return what a part of a body is drawn as."""
+        pose = np.concatenate([figure.positions[:, i], figure.wxyz[:, i]], 1)
+        printed = self.prints.shapes(figure.names[i], pose, body.angles) if self.prints and body.angles else []
+        return printed or [Shape(figure.names[i], figure.kinds[i], figure.meshes[i], pose)]
+
+    def _drawn(self, shape: Shape, size: np.ndarray) -> tuple[str, int, np.ndarray]:
+        """Return the kind of a shape, the place of its mesh or -1, and its half-extents (3,) m.
+
+        A box stands for a mesh that is too large.
+        """
+        if shape.mesh is None:
+            return shape.kind, -1, size
+        place = self._place(shape.mesh)
+        return ("box", -1, np.abs(shape.mesh.vertices).max(0)) if place < 0 else (shape.kind, place, size)
+
+    def _place(self, mesh: Mesh) -> int:
+        """Return the place of a mesh among the meshes, -1 where there is no more room for it."""
         for place, other in enumerate(self.meshes):
             if np.array_equal(mesh.vertices, other.vertices) and np.array_equal(mesh.faces, other.faces):
-                return "mesh", place
+                return place
         size = mesh.vertices.nbytes + mesh.faces.nbytes
         if self._mesh_bytes + size > MESH_BYTES:
             self.boxed = True
-            return "box", -1
+            return -1
         self._mesh_bytes += size
         self.meshes.append(mesh)
-        return "mesh", len(self.meshes) - 1
+        return len(self.meshes) - 1
 
     def _number(self, group: str, name: str, kind: str, mesh: int, colour: tuple[int, ...], taken: set[int]) -> int:
         """Return the number of a part, a new one if the run has none like it that is not `taken` in this body."""
@@ -113,7 +133,7 @@ class Cast:
         meshes = [
             {"vertices": pack.array(mesh.vertices, "f4"), "faces": pack.array(mesh.faces, "i4")} for mesh in self.meshes
         ]
-        return {"parts": self.parts, "meshes": meshes}
+        return {"parts": self.parts, "meshes": meshes, "printed": self.prints is not None}
 
 
 def packed_designs(bodies: Sequence[Body | str], cast: Cast, pack: Pack) -> dict[str, object]:
@@ -180,7 +200,7 @@ def play(history: History, task: Task, evaluation: Evaluation) -> Played:
     return Played(evaluation.iteration, body, episode.success, pressed, episode.contact)
 
 
-def episodes_within(history: History, task: Task, budget: int) -> list[Played]:
+def episodes_within(history: History, task: Task, budget: int, prints: Prints | None = None) -> list[Played]:
     """Return recorded episodes that take no more than `budget` bytes once they are compressed; those that can't be read
     are left out.
 
@@ -191,7 +211,7 @@ def episodes_within(history: History, task: Task, budget: int) -> list[Played]:
         return []
     best = history.best
     marked = [i for i, e in enumerate(recorded) if best and e.iteration == best.iteration]
-    size = _compressed_size(history, task, recorded[-1])
+    size = _compressed_size(history, task, recorded[-1], Cast(prints))
     most = max(2, budget // size) if size else len(recorded)
     found = []
     for i in thinned(len(recorded), most, marked):
@@ -202,11 +222,11 @@ def episodes_within(history: History, task: Task, budget: int) -> list[Played]:
     return found
 
 
-def _compressed_size(history: History, task: Task, evaluation: Evaluation) -> int:
+def _compressed_size(history: History, task: Task, evaluation: Evaluation, cast: Cast) -> int:
     """Return how many bytes an episode takes in a page; 0 where it can't be read."""
     pack = Pack()
     try:
-        document = play(history, task, evaluation).packed(Cast(), pack)
+        document = play(history, task, evaluation).packed(cast, pack)
     except (RunFolderError, ValueError):
         return 0
     return len(zlib.compress(pack.content(document), 6))

@@ -12,6 +12,7 @@ from studio.shelf.marks import read_marks
 from studio.show.bodies import Body, Cast, Played, body_of, episodes_within, packed_designs
 from studio.show.course import Course, Designs, course_of, designs_of, packed_course
 from studio.show.pack import Pack
+from studio.show.prints import Prints, is_printed
 from studio.show.sheet import Page, filled, packed_text, picture
 from studio.units import unit_of
 
@@ -74,7 +75,7 @@ def _run(history: History, budget: int, pack: Pack, step: Step | None) -> tuple[
     course = course_of(history)
     designs = designs_of(course, MOST_DESIGNS)
     task, lacks = _task(history)
-    cast = Cast()
+    cast = Cast(Prints.of(task) if task is not None and is_printed(task) else None)
     bodies: list[Body | str] = []
     played: list[Played] = []
     if task is not None:
@@ -82,7 +83,7 @@ def _run(history: History, budget: int, pack: Pack, step: Step | None) -> tuple[
             bodies.append(_body(task, phi))
             if step:
                 step(history.folder.id, i + 1, len(designs.phi))
-        played = episodes_within(history, task, budget)
+        played = episodes_within(history, task, budget, cast.prints)
     shown = packed_designs(bodies, cast, pack) if bodies else None
     episodes = [episode.packed(cast, pack) for episode in played]
     lacks += _left_out(course, designs, len(played), boxed=cast.boxed) + _unbuilt(designs, bodies)

@@ -12,6 +12,8 @@ from studio.export.bundle import parts_of_design, robot_files
 from studio.export.errors import ExportError
 from studio.export.policy import Policy, policy_at
 from studio.robots.chooser import robot_of
+from studio.robots.stl import stl
+from studio.show.prints import lightened
 
 _SCENE = "scene.xml"
 
@@ -49,7 +51,9 @@ def hand_of(history: History, task: GraspTask, iteration: int, phi: np.ndarray) 
     except ValueError as error:
         raise ExportError(str(error)) from error
     robot = robot_of(task)
-    files = robot_files(task, phi, parts_of_design(robot, phi), ["mjcf"])
+    parts = parts_of_design(robot, phi)
+    files = robot_files(task, phi, parts, ["mjcf"])
+    files |= {part.stl_path: stl(*lightened(part.vertices, part.faces), part.name) for part in parts}
     policy = policy_at(history, iteration, phi)
     units = {name: array.tolist() for name, array in robot.program(phi).arrays.items()}
     scene = _with_contact_sensors(files[_SCENE], task.scene(phi).to_xml())

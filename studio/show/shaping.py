@@ -9,20 +9,15 @@ from morph_core.history import History
 from morph_core.tasks import hand, printed
 from morph_core.tasks.grasp import GraspTask
 from studio.export.policy import policy_at
-from studio.robots import geometry, stl
-from studio.robots.chooser import robot_of
-
-_LENGTH = 200.0
-"""mm: length of the links whose meshes are carried; only their shaft, in the middle, grows with their length."""
-_MOUNT = 40.0
-"""mm: where on the palm the piece begins that carries a finger, and how wide it is."""
+from studio.robots import stl
+from studio.show.prints import LENGTH, is_printed, surfaces
 
 
 def shaping_of(history: History, task: GraspTask, iteration: int, phi: np.ndarray) -> dict[str, object] | None:
     """Return what the page's shape.js builds other designs from, around phi (d,); None for a hand of another kind."""
-    made = task.hand
-    if type(made) is not hand.Hand:
+    if not is_printed(task):
         return None
+    made = task.hand
     each = printed.MOUNT if made.servo == "none" else printed.MOUNT - printed.POCKET
     return {
         "parameters": [
@@ -41,24 +36,12 @@ def shaping_of(history: History, task: GraspTask, iteration: int, phi: np.ndarra
         "links": {kind: asdict(moments) for kind, moments in printed.LINKS.items()},
         "plate": _moments(printed.PLATE),
         "each": _moments(each),
-        "mesh_length": _LENGTH,
-        "meshes": {name: base64.b64encode(stl.stl(*surface, name)).decode() for name, surface in _meshes(task).items()},
+        "mesh_length": LENGTH,
+        "meshes": {
+            name: base64.b64encode(stl.stl(*surface, name)).decode() for name, surface in surfaces(task).items()
+        },
         "bias_slope": _bias_slope(history, task, iteration, phi),
     }
-
-
-def _meshes(task: GraspTask) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return surfaces in mm: a palm without fingers, the piece of a palm that carries one at angle 0, and its links."""
-    design = np.concatenate([np.zeros(task.hand.fingers), np.full(task.hand.fingers, _LENGTH / 1000)])
-    parts = {link: part for part in robot_of(task).parts(design) for link in part.links}
-    mount = geometry.palm((0.0,), (geometry.SIZES.radius,)).solid
-    for normal, distance in (((1, 0, 0), _MOUNT), ((0, 1, 0), -_MOUNT / 2), ((0, -1, 0), -_MOUNT / 2)):
-        mount = mount.trim_by_plane(normal, distance)
-    links = {kind: parts[f"finger_1_{kind}"] for kind in ("proximal", "distal")}
-    return {
-        "plate": geometry.mesh(geometry.palm((), ()).solid), "mount": geometry.mesh(mount),
-        **{kind: (part.vertices, part.faces) for kind, part in links.items()},
-    }  # fmt: skip
 
 
 def _moments(moments: printed.Moments) -> dict[str, object]:

@@ -1,10 +1,16 @@
 """What a launcher is: whatever gives the runs of a study their trainers, on this machine or on a cluster."""
 
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
+
+import msgspec
+
+from morph_core import inside
+from morph_core.run_folder import LAUNCH, SMALL_BYTES
 
 
 @dataclass(frozen=True)
@@ -63,3 +69,22 @@ class Launcher(ABC):
     def working(self, directory: Path) -> int:
         """Return how many trainers can't go on without this process."""
         return 0
+
+
+def launcher_of(path: Path) -> str:
+    """Return the name of the launcher that has a run in its hands; empty for none."""
+    try:
+        found = msgspec.json.decode(inside.read(path, LAUNCH, SMALL_BYTES), type=dict[str, object])
+    except (OSError, ValueError, RecursionError):
+        return ""
+    return str(found.get("launcher", ""))
+
+
+def check_hands(directory: Path, runs: Sequence[str], launcher: str) -> None:
+    """Raise ValueError that says what is allowed where a run is in the hands of another launcher than this one."""
+    for run in runs:
+        if (other := launcher_of(directory / run)) not in ("", launcher):
+            raise ValueError(
+                f"{run} is in the hands of the launcher {other}: go on with --launcher {other}, or cancel it first: "
+                f"morph-studio study --cancel {shlex.quote(str(directory))}"
+            )

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from studio.study.launcher import Launcher
-from studio.study.local import Local, launcher_of
+from studio.study.launcher import Launcher, launcher_of
+from studio.study.local import Local
 from studio.study.plan import Study
 from studio.study.slurm import Slurm
 from studio.study.slurm_options import SlurmOptions

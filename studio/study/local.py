@@ -26,7 +26,7 @@ from morph_core.protocol import Progress
 from morph_core.run_folder import LAUNCH, SMALL_BYTES, RunFolder, RunFolderError, process_alive
 from studio import limits
 from studio.inquest import Child, start_child
-from studio.study.launcher import Launcher, Place
+from studio.study.launcher import Launcher, Place, check_hands, launcher_of
 from studio.study.standing import stopped_by_user
 from studio.trainers import spawn_trainer
 
@@ -109,13 +109,7 @@ class Local(Launcher):
         limits.whole("slots", self.slots, 1, limits.MAX_TRAINERS)
 
     def submit(self, directory: Path, runs: Sequence[str]) -> None:
-        for run in runs:
-            launcher = launcher_of(directory / run)
-            if launcher not in ("", self.name):
-                raise ValueError(
-                    f"{run} is in the hands of the launcher {launcher}: go on with --launcher {launcher}, or cancel "
-                    f"it first: morph-studio study --cancel {directory}"
-                )
+        check_hands(directory, runs, self.name)
         for run in runs:
             with contextlib.suppress(RunFolderError, OSError, ValueError):  # the standing of the run says why
                 self._waiting.setdefault(run, History(RunFolder(directory / run)))
@@ -242,15 +236,6 @@ def read_launch(path: Path) -> Launch | None:
 
 def _write_launch(folder: RunFolder, launch: Launch) -> None:
     durable.write_file(folder.path / LAUNCH, msgspec.json.encode(launch))
-
-
-def launcher_of(path: Path) -> str:
-    """Return the name of the launcher that has a run in its hands; empty for none."""
-    try:
-        found = msgspec.json.decode(inside.read(path, LAUNCH, SMALL_BYTES), type=dict[str, object])
-    except (OSError, ValueError, RecursionError):
-        return ""
-    return str(found.get("launcher", ""))
 
 
 def _settle(pid: int, slot: int) -> None:

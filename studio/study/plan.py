@@ -173,13 +173,12 @@ def plan_study(
 
     Everything is checked: whatever a run's folder would be refused for, the plan is refused for.
     """
-    for what, names in (("task", [task.name for task in tasks]), ("label", [variant.label for variant in variants])):
-        if not names:
-            raise StudyError(f"a study needs at least one {'task' if what == 'task' else 'method'}")
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            hint = "" if what == "task" else "; name each by LABEL:METHOD,setting=value"
-            raise StudyError(f'two of the study have the {what} "{twice}"{hint}')
+    if not tasks or not variants:
+        raise StudyError(f"a study needs at least one {'method' if tasks else 'task'}")
+    if twice := _twice([task.name for task in tasks]):
+        raise StudyError(f'two of the study have the task "{twice}"')
+    if twice := _twice([variant.label for variant in variants]):
+        raise StudyError(f'two of the study have the label "{twice}"; name each by LABEL:METHOD,setting=value')
     if not 0 < level <= 1:
         raise StudyError(f"level must lie in (0, 1], not {level:g}")
     if len(tasks) * len(variants) * len(seeds) > MOST_RUNS:
@@ -205,6 +204,11 @@ def plan_study(
     for _ in _records(msgspec.structs.replace(study, runs=study.runs[: len(tasks) * len(variants)]), here):
         pass
     return study
+
+
+def _twice(names: Sequence[str]) -> str:
+    """Return a name that stands there more than once, or nothing."""
+    return next((name for name in names if names.count(name) > 1), "")
 
 
 def _names(pairs: Sequence[tuple[str, str]]) -> dict[tuple[str, str], str]:

@@ -1,6 +1,7 @@
 """Runs as tasks of Slurm's job arrays, by its own commands alone: no process of ours has to live on."""
 
 import contextlib
+import os
 import secrets
 import shutil
 import time
@@ -15,8 +16,8 @@ import msgspec
 from morph_core import durable, inside
 from morph_core.history import History
 from morph_core.run_folder import LAUNCH, SMALL_BYTES, RunFolder
-from studio.study.launcher import Launcher, Place
-from studio.study.local import CANCELLED, launcher_of
+from studio.study.launcher import Launcher, Place, check_hands, launcher_of
+from studio.study.local import CANCELLED
 from studio.study.slurm_options import SlurmOptions
 from studio.study.slurm_queue import FORGOTTEN, TASK, Queue, SlurmError, call
 from studio.study.standing import stopped_by_user
@@ -62,16 +63,11 @@ class Slurm(Launcher):
         call("sbatch", "--test-only", *(self._options or SlurmOptions()).words(), "--wrap=true")
 
     def submit(self, directory: Path, runs: Sequence[str]) -> None:
-        """Queue those runs that are left and have no task that Slurm knows: all of them, or none with SlurmError.
+        """Queue those runs that are left and have no task that Slurm knows: all of them, or none with ValueError.
 
         More than 1,000 are split; each part waits for the one before, so that `parallel` caps all of them.
         """
-        for run in runs:
-            if (launcher := launcher_of(directory / run)) not in ("", self.name):
-                raise SlurmError(
-                    f"{run} is in the hands of the launcher {launcher}: go on with --launcher {launcher}, or cancel "
-                    f"it first: morph-studio study --cancel {directory}"
-                )
+        check_hands(directory, runs, self.name)
         places = self._fresh_states(directory, runs)
         new = [run for run in runs if run not in places or places[run] == FORGOTTEN]
         self._submit(directory, [folder for folder in _folders(directory, new) if _is_left(folder)])
@@ -220,7 +216,7 @@ def _sbatch(
     kept = directory.resolve() / ".slurm" / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
     try:
         kept.mkdir(parents=True)
-        (kept / "runs.txt").write_text("".join(f"{path}\n" for path in paths))
+        (kept / "runs.txt").write_bytes(os.fsencode("".join(f"{path}\n" for path in paths)))
     except OSError as error:
         raise SlurmError(f"the list of the runs can't be written ({error})") from error
     further = [] if until is None else ["--until", str(until)]

@@ -18,6 +18,8 @@ _HEIGHT = 118
 _ROWS_PER_SECOND = 1000
 """Number of rows for which a chart rests one second: every update resends the whole chart, so a long run is redrawn
 less often."""
+_WHOLE = tuple(float(digit * 10**power) for power in range(7) for digit in (1, 2, 5))
+"""Distances of the marks below a chart: there is no iteration between two others."""
 _LONGEST_REST = 2.0
 """Longest time that a chart rests between two updates, in seconds."""
 MARK, MARK_COLOUR = "shown", "#8a94a3"
@@ -149,6 +151,7 @@ class Chart:
                     label="iteration",
                     labelSize=14,
                     labelGap=0,
+                    incrs=_WHOLE,
                     size=22,
                     gap=2,
                     space=40,

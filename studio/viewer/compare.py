@@ -240,8 +240,14 @@ class ComparePanel:
             self._on_refusal(str(error), client)
         else:
             self._second = chosen
-            self.iteration.value = max(chosen.begins_at, min(self.iteration.value, chosen.iteration))
+            self.iteration.value = self._like_the_first(chosen)
         self._on_choice()
+
+    def _like_the_first(self, chosen: History) -> int:
+        """Return the iteration of another run that people mean beside the one on screen: the last one beside the last
+        one, else the same, as far as the run has it."""
+        first, shown = self._first or (chosen, chosen.iteration)
+        return max(chosen.begins_at, chosen.iteration if shown >= first.iteration else min(shown, chosen.iteration))
 
     def _choose_iteration(self, client: viser.ClientHandle | None) -> None:
         second = self._second

@@ -1,12 +1,14 @@
 """The design panel: bounds and locks of every design parameter, edited together and sent together."""
 
+from collections.abc import Sequence
+
 import viser
 
 from morph_core.design import DesignSpace
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, Parameter, Status
 from studio.viewer import wording
-from studio.viewer.bounds import BoundsForm, Row
+from studio.viewer.bounds import BoundsForm, Group, Row
 from studio.viewer.parts import unit_of
 from studio.viewer.run import NOT_LIVE, Send
 
@@ -29,6 +31,11 @@ class DesignPanel:
         """Return the inputs of each parameter, by its name."""
         return self._bounds.rows if self._bounds else {}
 
+    @property
+    def groups(self) -> Sequence[Group]:
+        """Return the folders of the parts, in which the inputs stand."""
+        return self._bounds.groups if self._bounds else ()
+
     def clear(self) -> None:
         """Hide the form, as there is no run to show."""
         self.note.content = wording.paragraph(wording.dim("no data yet: press Start"))
@@ -50,9 +57,12 @@ class DesignPanel:
         )
         for button in self._buttons:
             button.visible = live
-        for p, value, initial in zip(space.parameters, phi, history.initial_phi, strict=True):
-            lock = ", locked" if p.locked_at is not None else ""
-            self.rows[p.name].folder.label = f"{p.name}: {_in_words(p, value)}{lock} (initially {_number(initial)})"
+        words = {
+            p.name: (p, float(value), float(initial))
+            for p, value, initial in zip(space.parameters, phi, history.initial_phi, strict=True)
+        }
+        for group in self._bounds.groups:
+            _tell(group, [words[name] for name in group.words])
         self._bounds.show(space, phi)
 
     def commands(self) -> list[AnyCommand]:
@@ -79,11 +89,28 @@ class DesignPanel:
         return bounds
 
 
+def _tell(group: Group, present: Sequence[tuple[Parameter, float, float]]) -> None:
+    """Say what the parameters of a part are at present, and were at first: in the folder's label, and where they are
+    several, at length inside of it."""
+    at_length = [
+        f"{p.name}: {_in_words(p, now)}{_lock(p)} (initially {_in_words(p, first)})" for p, now, first in present
+    ]
+    if len(present) == 1:
+        group.folder.label = at_length[0]
+        return
+    in_short = ", ".join(f"{group.words[p.name]} {unit_of(p).words(now)}{_lock(p)}" for p, now, _ in present)
+    group.folder.label = f"{group.name}: {in_short}"
+    group.told.content = wording.paragraph("<br>".join(map(wording.text, at_length)))
+    group.told.visible = True
+
+
+def _lock(p: Parameter) -> str:
+    return ", locked" if p.locked_at is not None else ""
+
+
 def _in_words(p: Parameter, value: float) -> str:
-    """Return a value in words, such as "2.000 m" or "0.052 rad, 3.0°"."""
-    words = f"{_number(value)} {p.unit}".rstrip()
-    return f"{words}, {unit_of(p).words(value)}" if p.unit == "rad" else words
-
-
-def _number(value: float) -> str:
-    return f"{round(value, 3) + 0.0:.3f}".replace("-", "−")
+    """Return a value in words, such as "2.000 m" or "3.0°": as finely as its inputs take it."""
+    unit = unit_of(p)
+    if unit.factor != 1:
+        return unit.words(value)
+    return f"{round(value, 3) + 0.0:.3f} {p.unit}".rstrip().replace("-", "−")

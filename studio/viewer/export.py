@@ -133,7 +133,7 @@ class ExportPanel:
         except ValueError as error:
             self.tell(str(error))
             return
-        self.tell("building the files and comparing them…", wording.BLUE)
+        self.tell("building the files and comparing them: this takes up to half a minute…", wording.BLUE)
         self.check.disabled = True
         try:
             servo = None if self.servo.value == BY_NEED else str(self.servo.value)

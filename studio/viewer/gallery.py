@@ -165,13 +165,17 @@ def _picture(piece: Piece, png: str) -> str:
     """Return a picture, which is a PNG in base64, with its words below as HTML."""
     return (
         f'<img alt="design of iteration {piece.iteration}" style="width:100%;display:block" '
-        f'src="data:image/png;base64,{png}">{wording.text(_title(piece))}<br>'
+        f'src="data:image/png;base64,{png}">{wording.text(_words(piece))}<br>'
         f"{wording.dim(wording.text(piece.words)) or '&nbsp;'}"
     )
 
 
 def _hint(piece: Piece) -> str:
     return f"turn to the design of iteration {piece.iteration}"
+
+
+def _words(piece: Piece) -> str:
+    return f"{'★ ' * piece.starred}iteration {piece.iteration}"
 
 
 def _title(piece: Piece) -> str:

@@ -20,17 +20,23 @@ _LINK = "text-decoration:underline;text-decoration-color:#8888;text-underline-of
 class LogPanel:
     """The tree and the log of one run; `on_open` is called with the name of a run of the tree that was clicked on."""
 
-    def __init__(self, gui: viser.GuiApi, *, on_open: Callable[[str], None]) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, *, on_open: Callable[[str], None], family: Callable[[str], Member | None]
+    ) -> None:
+        """Make the panel; `family(run_id)` returns the tree in which a run stands, None if it has no relatives."""
         self._on_open = on_open
+        self._find_family = family
+        self._found: tuple[object, Member | None] = (None, None)
         self._shown: tuple[str, int] = ("", -1)
         self._relatives: list[str] = []
         self.tree = gui.add_html("")
         self._links = Links(gui, self._open)
         self.log = gui.add_html("")
 
-    def update(self, history: History, family: Member | None, statuses: Mapping[str, tuple[Status, str]]) -> None:
-        """Show the tree in which a run stands, if it has relatives, and its log."""
+    def update(self, history: History, statuses: Mapping[str, tuple[Status, str]]) -> None:
+        """Show the tree in which a run stands, if it has relatives, and its log; `statuses` are those of all runs."""
         name = history.folder.id
+        family = self._family(name, frozenset(statuses))
         self._relatives = [run for run in _names(family) if run != name] if family else []
         self._links.offer(self._relatives)
         content = _heading("Branches") + (
@@ -43,6 +49,12 @@ class LogPanel:
         if self._shown != (name, len(history.events)):
             self._shown = name, len(history.events)
             self.log.content = _heading("Log, newest first") + _log(log_of(history))
+
+    def _family(self, run_id: str, runs: frozenset[str]) -> Member | None:
+        """Return the tree in which a run stands, found anew whenever another run is shown or runs come or go."""
+        if self._found[0] != (run_id, runs):
+            self._found = (run_id, runs), self._find_family(run_id)
+        return self._found[1]
 
     def _tree(self, root: Member, current: str, statuses: Mapping[str, tuple[Status, str]]) -> str:
         """Return a tree as HTML: each run under the one that it was branched from, the current one marked, each other

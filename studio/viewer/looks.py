@@ -6,6 +6,7 @@ import numpy as np
 import viser
 
 from morph_core.history import History
+from studio.viewer import wording
 from studio.viewer.ghosts import Beside
 from studio.viewer.parts import has_printed_parts, shows_parts
 from studio.viewer.tint import Tint, agreement_tint, change_tint
@@ -32,6 +33,7 @@ class LooksPanel:
                 hint="Of the robot's parts: by how far their parameters have come, or by whether the gradients of the "
                 "task and of the hardware pull them the same way",
             )  # fmt: skip
+            self.beside_it = gui.add_html(wording.paragraph(wording.dim("Beside the design, as ghosts:")))
             self.ghost = gui.add_checkbox("initial design", True, hint="As a ghost behind the shown one")
             self.trail = gui.add_checkbox("earlier designs", False, hint=f"Up to {_TRAIL} designs on the way here")
             self.explored = gui.add_checkbox(
@@ -39,12 +41,13 @@ class LooksPanel:
                 hint="Up to 64 of the designs that episodes were run with, at the last recorded episode up to here",
             )  # fmt: skip
             self.generation = gui.add_checkbox(
-                "CMA-ES", False,
+                "CMA-ES generation", False,
                 hint="Designs of the last generation of the last search for φ, at the last recorded episode up to here",
             )  # fmt: skip
         self._choices = (self.printed, self.colours, self.ghost, self.trail, self.explored, self.generation)
         for handle in self._choices:
             handle.on_update(lambda _: on_choice())
+        self._shown_of_a_run = (*self._choices, self.beside_it)
         self.clear()
 
     @property
@@ -57,7 +60,7 @@ class LooksPanel:
 
     def clear(self) -> None:
         """Offer nothing, as no run is shown."""
-        for handle in self._choices:
+        for handle in self._shown_of_a_run:
             handle.visible = False
 
     def update(self, history: History) -> None:
@@ -66,7 +69,7 @@ class LooksPanel:
             self._shown = history.record.id
             self.printed.value = shows_parts(history.record.parameters)
             self._has_printed_parts = has_printed_parts(history)
-        for handle in self._choices:
+        for handle in self._shown_of_a_run:
             handle.visible = handle is not self.printed or self._has_printed_parts
 
     def tint(self, history: History, iteration: int, phi: np.ndarray) -> Tint | None:

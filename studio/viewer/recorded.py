@@ -42,7 +42,7 @@ class RecordedPanel:
 
     def show_on_start_page(self, recording: Recording, *, plays: bool) -> None:
         """Offer the recorded run of the task that is chosen, which `plays` or not."""
-        seen = f"{recording.label} shown in {LENGTH:.0f} s, again and again" if plays else recording.label
+        seen = f"{recording.label}, shown in {LENGTH:.0f} s, again and again" if plays else recording.label
         self._show(recording, seen)
         self.play.visible, self.ways.visible, self.live.visible = not plays, plays, plays
 

@@ -24,6 +24,7 @@ from studio.viewer.rules import rules_of
 NOT_LIVE: tuple[Status, ...] = ("queued", "stopped", "finished", "failed", "lost", "unreadable")
 RESUMABLE: tuple[Status, ...] = ("stopped", "failed", "lost")
 _LOG_LINES = 8
+_UNREADABLE = "Put back the file from a copy, or delete the run on the page of all runs; the others are not concerned."
 MORE: dict[str, AnyCommand] = {"Step": StepIteration(), "Checkpoint": Checkpoint(), "Stop": Stop()}
 
 Send = Callable[[Callable[[], Sequence[AnyCommand]], viser.ClientHandle | None], None]
@@ -125,7 +126,7 @@ class RunPanel:
         self.state.visible = self.failure.visible = True
         self.state.content = wording.paragraph(wording.badge(status))
         if status == "unreadable":
-            self.failure.content = wording.alert(f"unreadable: {message}")
+            self.failure.content = wording.alert(f"unreadable: {message}. {_UNREADABLE}")
         else:
             self.failure.content = wording.alert(message or "loading…", wording.BLUE)
 

@@ -43,6 +43,16 @@ one has."""
 _RULER_COLOUR = (150, 155, 165)
 
 
+_NOTHING = {
+    "batched_positions": np.zeros((1, 3), np.float32),
+    "batched_wxyzs": np.array([[1, 0, 0, 0]], np.float32),
+    "batched_scales": np.zeros((1, 3), np.float32),
+    "batched_colors": np.zeros((1, 3), np.uint8),
+}
+"""What a node has of which nothing is to be seen. A browser that is busy applies the visibility of a node at once and
+its arrays later, so that a body would be seen in pieces where its nodes came and went by their visibility."""
+
+
 class _Changes(SceneNodeUpdateMessage):
     """Arrays that a node's properties become.
 
@@ -102,8 +112,9 @@ class Layer:
         painted = colours if colours is not None else figure.colours if figure else np.zeros((0, 3), np.uint8)
         with self._host.atomic():
             for key, batch in self._batches.items():
-                batch.handle.visible = key in groups
                 batch.parts, batch.course = groups.get(key, []), None
+                if not batch.parts:
+                    _change(batch.handle, _NOTHING)
             for key, parts in groups.items():
                 self._place(key, parts, figure.meshes[parts[0]] if figure else None, *arrays[key], painted[parts])
         self._figure, self._instant = figure, instant

@@ -47,7 +47,7 @@ class Stage:
     def play(self, history: History, label: str, enter: str) -> None:
         """Play the film of a run under a label; `enter` are words on what the key Enter does."""
         with self._lock:
-            self._label, self._enter = f"{label} shown in {LENGTH:.0f} s", enter
+            self._label, self._enter = f"{label}, shown in {LENGTH:.0f} s", enter
             self.projector.play(history)
             if self._frame and self._frame[0] is history:
                 self._show_frame(*self._frame)

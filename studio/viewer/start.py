@@ -48,6 +48,7 @@ class StartPanel:
             self.notice = gui.add_html("", visible=False)
             self.source = gui.add_html("", visible=False)
             self.task = gui.add_dropdown("task", list(TASKS), initial_value=first, hint="What the robot has to do.")
+            self.about = gui.add_html("")
             self.options = {name: self._add_options(gui, name) for name in TASKS}
             self.method = gui.add_dropdown("method", list(METHODS), hint=_methods_hint())
             self.preset = gui.add_dropdown("preset", list(PRESETS), hint="One word for a whole set of settings.")
@@ -63,10 +64,10 @@ class StartPanel:
             self.seed = gui.add_number(
                 "seed", 0, min=0, max=limits.LARGEST_SEED, step=1, hint="The same seed gives the same run."
             )
-            self.settings = SettingsForm(gui)
             self._slot = gui.add_folder(None)
             with self._slot:
                 self.held = gui.add_folder("Bounds and locks", expand_by_default=False)
+            self.settings = SettingsForm(gui)
             self.bring = gui.add_upload_button(
                 "Start from a design…", icon=viser.Icon.UPLOAD, mime_type=DESIGN_TYPES,
                 hint="A design.json, or an exported zip: the run begins with it instead of the initial design",
@@ -137,6 +138,13 @@ class StartPanel:
             if name in design.task_options:
                 handle.value = str(design.task_options[name])
         self._start_from(design)
+
+    def show_legend(self, legend: str) -> None:
+        """Show what the colours of the scene mean; `legend` is HTML."""
+        title = wording.dim(wording.text(make_task(self.task.value).title)) if self.task.value in TASKS else ""
+        content = wording.paragraph(title) + legend
+        if content != self.about.content:
+            self.about.content = content
 
     def request(self) -> StartRun:
         """Return what the form says, or raise ValueError with a sentence that says what is allowed."""

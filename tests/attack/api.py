@@ -53,6 +53,7 @@ def _round(server: Target, seed: int, examples: int, statuses: dict[int, int], o
             "seed": seed,
             "headers": {"Authorization": f"Bearer {TOKEN}"},
             "request-timeout": _PATIENCE,
+            "max-stream-events": 1,  # the audience's stream has no end
             "continue-on-failure": True,
             "workers": 1,
             "generation": {"max-examples": examples, "no-shrink": True, "database": "none"},

@@ -26,6 +26,7 @@ from xml.etree import ElementTree
 import httpx
 import msgspec
 import numpy as np
+from trimesh.transformations import euler_matrix
 
 from morph_core.catalogue import make_task
 from studio.export import apart
@@ -180,7 +181,7 @@ class Mutant:
                 archive.writestr(name, content)
             match kind:
                 case "path":
-                    archive.writestr(path, b"escaped")
+                    archive.writestr(_entry(path), b"escaped")
                 case "link":
                     entry = zipfile.ZipInfo(self.rng.choice(("meshes/x.stl", "design.json")))
                     entry.external_attr = 0o120777 << 16
@@ -241,11 +242,14 @@ class Mutant:
         element, name = self.rng.choice(numbers)
         words = element.attrib[name].split()
         at = self.rng.randrange(len(words))
+        before = element.attrib[name]
         old, words[at] = words[at], self.rng.choice((*NUMBERS, f"{float(words[at]) * 2 + 0.01!r}"))
         element.attrib[name] = " ".join(words)
         self.said = f"{path}: {element.tag} {name} {old} -> {words[at][:20]}"
         parts = {shown for visual in root.iter("visual") for shown in visual.iter()}  # of a URDF
-        self.physical = _differ(old, words[at]) and element not in parts and not _only_shown(element, name)
+        turned = [e.find("geometry/*") for e in root.iter("collision") if name == "rpy" and e.find("origin") is element]
+        same = not _differ(old, words[at]) or any(_is_same(e, before, element.attrib[name]) for e in turned)
+        self.physical = not same and element not in parts and not _only_shown(element, name)
 
     def of_json(self) -> bytes:
         """Return a bundle whose design.json says something odd."""
@@ -266,6 +270,13 @@ class Mutant:
             content[self.rng.randrange(len(content))] = self.rng.randrange(256)
         self.said = f"{path}: some bytes"
         return _zip({**self.files, path: bytes(content)})
+
+
+def _entry(name: str) -> zipfile.ZipInfo:
+    """Return an entry of any name, the empty one too, which `zipfile` writes under another alone."""
+    entry = zipfile.ZipInfo("x")
+    entry.filename = entry.orig_filename = name or "\0"
+    return entry
 
 
 def _try(mutant: Mutant, server: Target, outcome: Outcome) -> None:
@@ -345,6 +356,18 @@ def _differ(old: str, new: str) -> bool:
         return not abs(float(old) - float(new)) <= 1e-6 * max(1.0, abs(float(old)))
     except ValueError:
         return True
+
+
+def _is_same(shape: ElementTree.Element | None, before: str, after: str) -> bool:
+    """Tell whether a shape of a URDF is the same under two turns: a ball always, a cylinder turned about its axis."""
+    if shape is None or shape.tag not in ("sphere", "cylinder"):
+        return False
+    try:
+        one, other = (euler_matrix(*map(float, words.split()), axes="sxyz")[:3, 2] for words in (before, after))
+    except (ValueError, TypeError):
+        return False
+    finite = bool(np.isfinite(other).all())
+    return finite and (shape.tag == "sphere" or abs(float(one @ other)) > 1 - 1e-12)
 
 
 def _only_shown(element: ElementTree.Element, name: str) -> bool:

@@ -36,9 +36,9 @@ PATIENCE = 10.0
 IMPORTS_AT_ONCE = 12
 GROWTH = 100.0
 """Largest growth in MB while zips are imported, however many at once."""
-UPLOADING = 300.0
+UPLOADING = 250.0
 """Largest growth in MB while files are sent that never end: four of 32 MiB, what is on its way, and eight pages."""
-LEFT = 250.0
+LEFT = 120.0
 """Largest growth in MB once those who sent them have left: what the C library keeps for the next ones, however many
 rounds there are; the studio holds nothing of it."""
 

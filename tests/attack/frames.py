@@ -16,6 +16,7 @@ from typing import Any
 
 import httpx
 import msgspec
+import psutil
 import zstandard
 from viser import _messages
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
@@ -222,9 +223,10 @@ def _look_for_escapes(server: Target, outcome: Outcome) -> None:
     if beside:
         outcome.fault(f"written beside the runs: {', '.join(sorted(beside)[:5])}")
     for process in (server.process, *server.process.children(recursive=True)):
-        for link in process.net_connections("inet"):
-            if link.raddr and not link.raddr.ip.startswith(("127.", "::1", "::ffff:127.")):
-                outcome.fault(f"a connection to {link.raddr.ip}")
+        with contextlib.suppress(psutil.NoSuchProcess):  # it has just ended
+            for link in process.net_connections("inet"):
+                if link.raddr and not link.raddr.ip.startswith(("127.", "::1", "::ffff:127.")):
+                    outcome.fault(f"a connection to {link.raddr.ip}")
 
 
 @contextlib.contextmanager

@@ -22,7 +22,7 @@ from studio.elements import element_of, settled
 from studio.export.bundle import Bundle
 from studio.recordings import Recordings
 from studio.viewer.viewer import Viewer
-from tests.studio.conftest import NAME, Neighbours, Oracle, Stars, eventually, make_run
+from tests.studio.conftest import NAME, Cutter, Neighbours, Oracle, Stars, eventually, make_run
 
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [1, 1, 1], "fov": 1.0, "near": 0.1, "far": 100.0,
@@ -48,7 +48,7 @@ class Page:
         viewer = Viewer(
             client, on_command=lambda *_: 0, on_start=lambda _: NAME, on_resume=lambda _: None,
             on_branch=lambda *_: NAME, on_export=lambda *_: Bundle("design.zip", {}, [], b"zip"), answers=Oracle(),
-            family=lambda _: None, album=Stars(), others=Neighbours({}), recordings=Recordings(),
+            family=lambda _: None, album=Stars(), others=Neighbours({}), films=Cutter(), recordings=Recordings(),
         )  # fmt: skip
         self.viewers.append(viewer)
         return viewer

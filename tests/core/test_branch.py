@@ -82,12 +82,12 @@ def equal(ours: list[torch.Tensor], theirs: list[torch.Tensor]) -> bool:
 @pytest.mark.parametrize("name", METHODS)
 def test_a_branch_with_nothing_changed_goes_on_exactly_as_its_parent_did(tmp_path: Path, name: str) -> None:
     method = small_method(name)
-    parent = trained(tmp_path, method)
-    folder = branch(parent, 2, method)
+    parent = trained(tmp_path, method, iterations=4)
+    folder = branch(parent, 2, method, last=4)
     shutil.rmtree(parent.folder.path)  # it takes along all that it needs
     Trainer(folder).run()
     child = History(folder)
-    assert [p.iteration for p in child.progress] == [3, 4, 5, 6]
+    assert [p.iteration for p in child.progress] == [3, 4]
     for ours, theirs in zip(child.progress, parent.progress[2:], strict=True):
         same = {"seq": 0, "time": 0.0, "cpu_seconds": 0.0}
         assert msgspec.structs.replace(ours, **same) == msgspec.structs.replace(theirs, **same)
@@ -97,8 +97,8 @@ def test_a_branch_with_nothing_changed_goes_on_exactly_as_its_parent_did(tmp_pat
 @pytest.mark.parametrize("settings", [{"exploration": "gaussian"}, {"search": "drift"}, {"search": "cma_debiased"}])
 def test_so_does_one_with_whatever_else_a_checkpoint_holds(tmp_path: Path, settings: dict[str, Any]) -> None:
     method = small_method("morph", {**settings, "design_interval": 2})
-    parent = trained(tmp_path, method)
-    folder = branch(parent, 2, method)
+    parent = trained(tmp_path, method, iterations=4)
+    folder = branch(parent, 2, method, last=4)
     Trainer(folder).run()
     assert [p.phi for p in History(folder).progress] == [p.phi for p in parent.progress[2:]]
 
@@ -265,42 +265,46 @@ def outcome(history: History, last: int | None = None) -> tuple[Comparison, list
     return found, [step["iteration"] for step in steps if isinstance(step, dict)]
 
 
-def steered(runs: Path) -> History:
-    """Return a run that was steered at its beginning and after its second iteration, stopped there and resumed."""
-    folder = make_run(runs, "steered", iterations=2)
+@pytest.fixture(scope="module")
+def steered_run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A run that was steered at its beginning and after its second iteration, stopped there and resumed."""
+    folder = make_run(tmp_path_factory.mktemp("steered"), "steered", iterations=2)
     folder.send(SetAlpha(3.0))
     Trainer(folder).run()
     folder.send(InjectDesign([2.0] * 5))
     folder.send(Lock("link_5"))
     Trainer(folder, further=3).run()
-    return History(folder)
+    return folder
 
 
-def test_a_replay_obeys_the_log_and_finds_the_same_phi(tmp_path: Path) -> None:
-    history = steered(tmp_path)
-    before = {path: path.stat().st_mtime_ns for path in history.folder.path.rglob("*")}
-    found, steps = outcome(history)
+@pytest.fixture
+def steered(steered_run: RunFolder) -> History:
+    """The history of that run, of which a test may change what is in memory."""
+    return History(steered_run)
+
+
+def test_a_replay_obeys_the_log_and_finds_the_same_phi(steered: History) -> None:
+    before = {path: path.stat().st_mtime_ns for path in steered.folder.path.rglob("*")}
+    found, steps = outcome(steered)
     assert (found.difference, found.compared, steps) == (None, 5, [1, 2, 3, 4, 5])
     assert found.recorded_on == [found.replayed_on]
-    assert {path: path.stat().st_mtime_ns for path in history.folder.path.rglob("*")} == before
-    assert outcome(history, 2)[1] == [1, 2]
+    assert {path: path.stat().st_mtime_ns for path in steered.folder.path.rglob("*")} == before
+    assert outcome(steered, 2)[1] == [1, 2]
 
 
 @pytest.mark.parametrize("iteration", [1, 4])
-def test_the_first_difference_is_reported_to_the_last_bit(tmp_path: Path, iteration: int) -> None:
-    history = steered(tmp_path)
-    right = history.progress[iteration - 1]
+def test_the_first_difference_is_reported_to_the_last_bit(steered: History, iteration: int) -> None:
+    right = steered.progress[iteration - 1]
     wrong = [np.nextafter(right.phi[0], 9.0), *right.phi[1:]]
-    history.progress[iteration - 1] = msgspec.structs.replace(right, phi=wrong)
-    found, steps = outcome(history)
+    steered.progress[iteration - 1] = msgspec.structs.replace(right, phi=wrong)
+    found, steps = outcome(steered)
     assert found.difference == Difference(iteration, wrong, right.phi)
     assert steps == list(range(1, iteration))
 
 
-def test_a_replay_without_a_command_of_the_log_differs_from_there(tmp_path: Path) -> None:
-    history = steered(tmp_path)
-    history._changes = [e for e in history._changes if getattr(e, "command", None) != InjectDesign([2.0] * 5)]
-    found, _ = outcome(history)
+def test_a_replay_without_a_command_of_the_log_differs_from_there(steered: History) -> None:
+    steered._changes = [e for e in steered._changes if getattr(e, "command", None) != InjectDesign([2.0] * 5)]
+    found, _ = outcome(steered)
     assert found.difference
     assert found.difference.iteration == 3
 
@@ -325,9 +329,8 @@ def test_a_run_without_an_iteration_has_nothing_to_compare(tmp_path: Path) -> No
     assert (found.difference, found.compared, steps) == (None, 0, [])
 
 
-def test_processors_are_named_each_once(tmp_path: Path) -> None:
-    history = steered(tmp_path)
-    start = next(e for e in history.events if isinstance(e, StateChanged) and e.status == "starting")
-    history.events.append(msgspec.structs.replace(start, processor="another one"))
-    found, _ = outcome(history, 1)
+def test_processors_are_named_each_once(steered: History) -> None:
+    start = next(e for e in steered.events if isinstance(e, StateChanged) and e.status == "starting")
+    steered.events.append(msgspec.structs.replace(start, processor="another one"))
+    found, _ = outcome(steered, 1)
     assert [p.name for p in found.recorded_on] == [start.processor, "another one"]

@@ -46,6 +46,27 @@ def hidden(folder: Path) -> list[str]:
     return [path.name for path in folder.iterdir() if path.name.startswith(".")]
 
 
+def test_what_is_no_plain_file_is_never_replaced(tmp_path: Path) -> None:
+    pipe, folder, link, loop = (tmp_path / name for name in ("pipe", "folder", "link", "loop"))
+    os.mkfifo(pipe)
+    folder.mkdir()
+    for path in (pipe, folder):
+        with pytest.raises(FileExistsError, match="no plain file"):
+            durable.write_file(path, b"new")
+    assert pipe.is_fifo()
+    (tmp_path / "theirs").write_bytes(b"old")
+    link.symlink_to(tmp_path / "theirs")
+    durable.write_file(durable.where_written(link), b"named")
+    assert link.is_symlink()
+    assert (tmp_path / "theirs").read_bytes() == b"named"
+    durable.write_file(link, b"in a folder that is not trusted")
+    assert (tmp_path / "theirs").read_bytes() == b"named"
+    loop.symlink_to(loop)
+    durable.write_file(durable.where_written(loop), b"new")
+    assert loop.read_bytes() == b"new"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "link", "loop", "pipe", "theirs"]
+
+
 def test_a_folder_is_the_old_or_the_new_one_whenever_its_writer_dies(tmp_path: Path) -> None:
     seen = []
     for after in range(30):

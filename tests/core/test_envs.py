@@ -245,6 +245,20 @@ def test_physics_that_fails_truncates_and_says_so(task: Task) -> None:
     assert not envs.step(moves)[4]["diverged"][1]
 
 
+@each_task
+@pytest.mark.parametrize("lost", [np.nan, np.inf, -np.inf, 1e300])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numpy, over such numbers
+def test_a_state_that_is_no_number_truncates_at_that_step(name: str, lost: float) -> None:
+    envs = TaskVectorEnv(name, 2)
+    envs.reset(seed=0)
+    envs._s[0] = lost
+    _, reward, terminated, truncated, info = envs.step(np.zeros(envs.action_space.shape))
+    assert (terminated.tolist(), truncated.tolist()) == ([False, False], [True, False])
+    assert info["diverged"].tolist() == [True, False]
+    assert reward[0] == 0
+    assert np.isfinite(envs.step(np.zeros(envs.action_space.shape))[0]).all(), "it has restarted"
+
+
 @both
 def test_a_simulation_that_explodes_truncates_at_that_step(make: Make) -> None:
     env = make("pen_press")
@@ -328,6 +342,10 @@ def test_an_initial_design_that_cannot_be_built_is_refused_as_well(make: Make) -
         ({"phi": "long"}, "phi must be numbers, not 'long'"),
         ({"phi": None}, "5 are needed"),
         ({"phi": [[3.0], [3.0, 3.0]]}, "phi must be numbers"),
+        ({"phi": [10**400] * 5}, "phi must be numbers"),
+        ({"phi": ["3.0"] * 5}, "phi must be numbers"),
+        ({"phi": np.full(5, 3.0 + 1j)}, "phi must be numbers"),
+        ({"phi": np.ma.array([3.0] * 5, mask=[True] * 5)}, "phi must be numbers"),
         ({"phi": np.ones((4, 5))}, "needed"),
         (["phi"], "options must be a dict or None"),
     ],

@@ -26,22 +26,22 @@ def test_after_a_tenth_of_a_run_the_rest_is_known_within_a_fifth(
     jitter: float, seed: int,
 ) -> None:  # fmt: skip
     rng, pace, done = random.Random(seed), Pace(), math.ceil(iterations / 10)
-    every = min(every, done) if every > 1 else 1  # a search that has never been is known to nobody
-    every = every if done - done // every > 1 or every == 1 else 1  # nor is an iteration without one, beside the first
+    every = min(every, done)  # a search that has never been is known to nobody
 
     def spread() -> float:
         return rng.uniform(1 - jitter, 1 + jitter)
 
     left, searches, evaluations = 0.0, 0, 0
     for i in range(1, iterations + 1):
-        searched = every > 1 and i % every == 0
-        took = spread() * (1 + search * searched) + warm_up * (i == 1)
+        searched = i % every == 0
+        searching = spread() * search * searched
+        took = spread() + searching + warm_up * (i == 1)
         evaluated = i % interval == 0 or i == iterations
         evaluating = evaluation * spread() * evaluated
         if i > done:
             left, searches, evaluations = left + took + evaluating, searches + searched, evaluations + evaluated
             continue
-        pace.took(took, 100, searched)
+        pace.took(took, 100, searching if searched else None)
         if evaluated:
             pace.evaluated(evaluating)
     expected = pace.left(iterations - done, searches, evaluations, expected=evaluation * known)
@@ -58,10 +58,10 @@ def test_a_pace_that_changes_is_followed() -> None:
 
 def test_what_comes_seldom_is_counted_and_not_spread() -> None:
     pace = Pace()
-    for took, searched in ((9.0, False), (1.0, False), (4.0, True), (1.0, False), (4.0, True)):
-        pace.took(took, 10, searched)
+    for took, searching in ((9.0, None), (1.0, None), (4.0, 3.0), (1.0, None), (4.0, 3.0)):
+        pace.took(took, 10, searching)
     assert pace.left(10) == 10.0
-    assert pace.left(10, searches=3) == 7 * 1.0 + 3 * 4.0
+    assert pace.left(10, searches=3) == 10 * 1.0 + 3 * 3.0
     assert pace.left(10, searches=3, evaluations=2, expected=5.0) == 29.0
     pace.evaluated(2.0)
     assert pace.left(10, searches=3, evaluations=2, expected=5.0) == 23.0

@@ -4,8 +4,6 @@ import json
 import os
 import resource
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -25,7 +23,7 @@ from morph_core.searches.cma import Cma
 from morph_core.state import start
 from morph_core.train import SHOWN_DESIGNS, Trainer, _keep_beating, apply_edit, train
 from tests.core.conftest import SMALL, make_run, small_method
-from tests.forked import trainer
+from tests.forked import Forked, trainer
 
 
 def trained(folder: RunFolder, *words: str) -> History:
@@ -288,16 +286,16 @@ def test_the_warnings_of_a_cluster_do_not_end_a_trainer(tmp_path: Path) -> None:
     assert process.wait(30) == 0
 
 
-def test_the_processor_is_recorded_at_each_start(tmp_path: Path) -> None:
-    folder = make_run(tmp_path, iterations=2)
-    trained(folder)
-    command = [sys.executable, "-m", "morph_core.train", "--run", str(folder.path), "--further", "1"]
-    subprocess.run(command, env={**os.environ, "ATEN_CPU_CAPABILITY": "default"}, check=True, timeout=100)
+def test_the_processor_is_recorded_at_each_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, capability = make_run(tmp_path, iterations=2), torch.backends.cpu.get_cpu_capability()
+    Trainer(folder).run()
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "DEFAULT")
+    Trainer(folder, further=1).run()
     history = History(folder)
     first, second = (e for e in history.events if isinstance(e, StateChanged) and e.status == "starting")
     assert first.processor == second.processor != ""
-    assert (first.instruction_set, second.instruction_set) == (torch.backends.cpu.get_cpu_capability(), "DEFAULT")
-    if first.instruction_set != "DEFAULT":
+    assert (first.instruction_set, second.instruction_set) == (capability, "DEFAULT")
+    if capability != "DEFAULT":
         assert "went on from iteration 2 on" in history.other_processor
 
 
@@ -366,14 +364,9 @@ def test_a_disk_that_is_full_pauses_the_run_and_loses_nothing(tmp_path: Path) ->
 
 def test_a_trainer_in_reserve_starts_at_a_word_and_goes_when_nobody_needs_it(tmp_path: Path) -> None:
     folder = make_run(tmp_path)
-    command = [sys.executable, "-m", "morph_core.train", "--standby"]
-    used = subprocess.Popen(command, stdin=subprocess.PIPE, text=True)
-    used.communicate(json.dumps({"run": str(folder.path), "further": None}) + "\n", timeout=100)
-    assert used.returncode == 0
-    assert History(folder).status == "finished"
-    unused = subprocess.Popen(command, stdin=subprocess.PIPE, text=True)
-    unused.communicate("", timeout=100)
-    assert unused.returncode == 0
+    for heard, iteration in (("", 0), (json.dumps({"run": str(folder.path), "further": None}) + "\n", 6)):
+        assert Forked("morph_core.train", "--standby", heard=heard).wait() == 0
+        assert History(folder).iteration == iteration
 
 
 @pytest.mark.slow

@@ -5,10 +5,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, expect, sync_playwright
 from served import Server
 
 from tests.studies import Made, write_study
+
+PATIENCE = 60_000
+"""Milliseconds that anything may take: this machine may do much else, and Playwright's 5 s for a claim are too few."""
+expect.set_options(timeout=PATIENCE)
 
 # Headless WebGL without a GPU; the rest keeps Chromium from talking to anyone but the server under test.
 FLAGS = [
@@ -52,10 +56,21 @@ def page() -> Iterator[Page]:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
         page = browser.new_page(viewport={"width": 1000, "height": 700})
-        page.set_default_timeout(30_000)
+        page.context.set_default_timeout(PATIENCE)
         page.add_init_script("if (location.protocol === 'http:') localStorage.setItem('morph-tour', 'seen')")
         yield page
         browser.close()
+
+
+@pytest.fixture
+def other(page: Page) -> Iterator[Page]:
+    """A page of another person's browser."""
+    browser = page.context.browser
+    assert browser is not None
+    context = browser.new_context(viewport={"width": 1000, "height": 700})
+    context.set_default_timeout(PATIENCE)
+    yield context.new_page()
+    context.close()
 
 
 @pytest.fixture

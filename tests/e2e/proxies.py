@@ -16,26 +16,40 @@ class Proxy:
         self._server_port = server_port
         self._prefix = prefix.encode()
         self._says_so = says_so
-        self._loop = asyncio.new_event_loop()
+        self._at_work: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
+        self._ended = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
 
     @contextlib.contextmanager
     def running(self) -> Iterator["Proxy"]:
         """Proxy in a thread of its own for as long as the context lasts."""
         started = threading.Event()
-        thread = threading.Thread(target=self._run, args=(started,), daemon=True)
+        thread = threading.Thread(target=lambda: asyncio.run(self._listen(started)), daemon=True)
         thread.start()
-        started.wait(10)
+        assert started.wait(30)
+        assert self._loop is not None
         try:
             yield self
         finally:
-            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._loop.call_soon_threadsafe(self._ended.set)
             thread.join(10)
 
-    def _run(self, started: threading.Event) -> None:
-        server = self._loop.run_until_complete(asyncio.start_server(self._serve, "127.0.0.1", 0))
+    async def _listen(self, started: threading.Event) -> None:
+        """Serve until the end is wished for, and hang up on who is still connected."""
+        self._loop = asyncio.get_running_loop()
+        server = await asyncio.start_server(self._begin, "127.0.0.1", 0)
         self.port = server.sockets[0].getsockname()[1]
         started.set()
-        self._loop.run_forever()
+        await self._ended.wait()
+        server.close()
+        for answers in self._at_work.values():
+            answers.transport.abort()
+        await asyncio.gather(*self._at_work)
+
+    def _begin(self, browser: asyncio.StreamReader, answers: asyncio.StreamWriter) -> None:
+        serving = asyncio.create_task(self._serve(browser, answers))
+        self._at_work[serving] = answers
+        serving.add_done_callback(self._at_work.pop)
 
     async def _serve(self, browser: asyncio.StreamReader, answers: asyncio.StreamWriter) -> None:
         with contextlib.suppress(OSError, asyncio.IncompleteReadError):
@@ -52,6 +66,8 @@ class Proxy:
                 copying = [asyncio.create_task(self._copy(*way)) for way in ways]
                 await asyncio.wait(copying, return_when=asyncio.FIRST_COMPLETED)
                 requests.close()
+                answers.close()
+                await asyncio.wait(copying)
         answers.close()
 
     def _passed_on(self, head: bytes) -> bytes | None:

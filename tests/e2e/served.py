@@ -1,6 +1,8 @@
 """`morph-studio serve` as a real process, and what its run folders say."""
 
+import contextlib
 import os
+import random
 import re
 import signal
 import socket
@@ -19,19 +21,27 @@ T = TypeVar("T")
 MORPH_STUDIO = Path(sysconfig.get_path("scripts")) / "morph-studio"
 
 
+PATIENCE = 3
+"""Times that something may take on a machine that does much else."""
+
+
 def wait_for(what: str, claim: Callable[[], T], seconds: float) -> T:
-    """Return the first true value of `claim`; fail with `what` was awaited."""
-    deadline = time.monotonic() + seconds
+    """Return the first true value of `claim`, which takes so many seconds at most where nothing else is at work; fail
+    with `what` was awaited."""
+    deadline = time.monotonic() + PATIENCE * seconds
     while not (value := claim()):
-        assert time.monotonic() < deadline, f"waited {seconds} s in vain for {what}"
+        assert time.monotonic() < deadline, f"waited {PATIENCE * seconds} s in vain for {what}"
         time.sleep(0.1)
     return value
 
 
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    """Return a port that is free now, below those that the system gives to connections, which could take it next."""
+    for port in random.sample(range(10_000, 30_000), 100):
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise OSError("none of 100 ports is free")
 
 
 class Server:

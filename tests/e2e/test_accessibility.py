@@ -37,20 +37,23 @@ def test_our_pages_have_nothing_that_is_serious(filled: Server, page: Page, sche
     assert grave(page) == {}, "the login page"
 
     page.goto(filled.url)
-    page.frame_locator("#viewer").get_by_role("tab", name="Timeline", exact=True).wait_for(timeout=60_000)
+    page.frame_locator("#viewer").get_by_role("tab", name="Traces", exact=True).wait_for()
     expect(page.locator("#loading")).to_be_hidden()
     assert grave(page) == {}, "the shell"
     page.keyboard.press("?")
     expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
     assert grave(page) == {}, "the keys"
     page.get_by_role("button", name="Show the tour").click()
+    expect(page.locator("#tour")).to_be_visible()
     assert grave(page) == {}, "the tour"
+
+    assert_audience_has_nothing(page, base, scheme)
 
     page.goto(f"{base}/docs")
     assert grave(page) == {}, "the API page"
 
     page.goto(f"{base}/study")
-    expect(page.locator("#writing, #report").filter(visible=True)).to_be_visible(timeout=20_000)
+    expect(page.locator("#writing, #report").filter(visible=True)).to_be_visible()
     assert grave(page) == {}, "the study"
 
     page.goto(f"{base}/runs")
@@ -62,14 +65,31 @@ def test_our_pages_have_nothing_that_is_serious(filled: Server, page: Page, sche
     assert grave(page) == {}, "a comparison"
     for button in ("Trash", "Keys"):
         page.get_by_role("button", name=button, exact=True).click()
+        expect(page.get_by_role("dialog", name=button)).to_be_visible()
         assert grave(page) == {}, button
         page.keyboard.press("Escape")
 
 
+def assert_audience_has_nothing(presenter: Page, base: str, scheme: str) -> None:
+    browser = presenter.context.browser
+    assert browser is not None
+    presenter.locator("#chooser").select_option("reacher-direct-s1")
+    link = presenter.request.post(f"{base}/api/audience", headers={"Origin": base}, data={}).json()["link"]
+    page = browser.new_page(color_scheme=scheme)  # pyright: ignore[reportArgumentType]
+    page.goto(f"{base}/{link}")
+    expect(page.locator("#curves")).to_be_visible(timeout=20_000)
+    expect(page.locator("#curtain")).to_be_hidden()
+    assert grave(page) == {}, "the audience"
+    page.get_by_role("button", name="Look around alone").click()
+    expect(page.locator("#opening")).to_be_hidden(timeout=20_000)
+    assert grave(page) == {}, "a spectator alone"
+    page.context.close()
+
+
 def test_what_the_viewer_lacks_is_visers_own_and_listed(filled: Server, page: Page) -> None:
     page.goto(filled.url)
-    page.frame_locator("#viewer").get_by_role("tab", name="Timeline", exact=True).wait_for(timeout=60_000)
-    expect(page.locator("#loading")).to_be_hidden(timeout=20_000)
+    page.frame_locator("#viewer").get_by_role("tab", name="Traces", exact=True).wait_for()
+    expect(page.locator("#loading")).to_be_hidden()
     page.wait_for_timeout(2000)  # until nothing fades in any more
     listed = re.findall(r"^\| `([a-z-]+)`", LISTED.read_text(), re.MULTILINE)
     assert listed

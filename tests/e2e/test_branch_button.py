@@ -55,7 +55,7 @@ def test_a_person_branches_from_a_finished_run(server: Server, page: Page) -> No
     assert [progress.iteration for progress in events_of(branch, Progress)] == [5, 6, 7]
 
     turn_to(frame, "Log")
-    expect(frame.get_by_text(re.compile(f"branched at iteration 4 of {parent.id}"))).to_be_visible(timeout=30_000)
+    expect(frame.get_by_text(re.compile(f"branched at iteration 4 of {parent.id}"))).to_be_visible()
     tree = frame.get_by_text("Branches").locator("xpath=ancestor::div[2]")
     expect(tree.get_by_text(branch.id)).to_be_attached()
     expect(frame.get_by_text(parent.id).first).to_be_attached()

@@ -25,7 +25,7 @@ def test_a_person_compares_the_methods_of_a_study_while_it_runs(server: Server, 
     shutil.rmtree(server.runs, ignore_errors=True)
     made = [Made("direct", "direct"), Made("<b>odd</b>", "no_hw_opt", top=0.0)]
     study = write_study(server.runs, made, [0, 1, 2], iterations=10, status={("direct", 2): "running"})
-    expect(page.get_by_text("the first report takes about half a minute")).to_be_visible(timeout=10_000)
+    expect(page.get_by_text("the first report takes about half a minute")).to_be_visible()
     report = page.frame_locator("#report")
     expect(report.get_by_role("heading", name="Study: 2 methods on reacher")).to_be_visible(timeout=200_000)
     expect(report.get_by_text("This study is not complete")).to_be_visible()
@@ -56,4 +56,4 @@ def test_a_person_compares_the_methods_of_a_study_while_it_runs(server: Server, 
     assert refused == []
 
     server.kill()
-    expect(page.get_by_text("The server does not answer")).to_be_visible(timeout=20_000)
+    expect(page.get_by_text("The server does not answer")).to_be_visible()

@@ -1,7 +1,6 @@
 """A browser has a view of its own, is worked by keys, and shows a newcomer round."""
 
 import re
-from collections.abc import Iterator
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -13,19 +12,9 @@ pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
 OLD, NEW = "reacher-direct-s0", "reacher-direct-s1"
 
 
-@pytest.fixture
-def other(page: Page) -> Iterator[Page]:
-    """Yield a page of another browser, which the server lets in as well."""
-    browser = page.context.browser
-    assert browser is not None
-    context = browser.new_context(viewport={"width": 1000, "height": 700})
-    yield context.new_page()
-    context.close()
-
-
 def open_page(page: Page, address: str) -> None:
     page.goto(address)
-    expect(page.locator("#loading")).to_be_hidden(timeout=60_000)
+    expect(page.locator("#loading")).to_be_hidden()
 
 
 def choose(page: Page, run: str) -> None:
@@ -37,7 +26,7 @@ def choose(page: Page, run: str) -> None:
 def shows(page: Page, run: str, iteration: int | None = None) -> None:
     """Wait until a page's address names the run and iteration that its viewer shows."""
     end = "" if iteration is None else f"&iteration={iteration}"
-    page.wait_for_url(re.compile(rf"/\?run={run}{end}$"), timeout=30_000)
+    page.wait_for_url(re.compile(rf"/\?run={run}{end}$"))
 
 
 @pytest.mark.usefixtures("runs")
@@ -50,12 +39,12 @@ def test_one_person_does_not_see_what_another_one_chooses(server: Server, page: 
     choose(page, OLD)
     page.keyboard.press("ArrowLeft")
     shows(page, OLD, 9)
-    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached(timeout=20_000)
+    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached()
     shows(other, NEW)
     expect(other.locator("#chooser")).to_have_value(NEW)
     page.reload()
     shows(page, OLD, 9)
-    expect(page.locator("#chooser")).to_have_value(OLD, timeout=20_000)
+    expect(page.locator("#chooser")).to_have_value(OLD)
 
 
 @pytest.mark.usefixtures("runs")
@@ -74,7 +63,7 @@ def test_keys_scrub_follow_help_and_begin(server: Server, page: Page) -> None:
     page.keyboard.press("Escape")
     expect(page.get_by_role("dialog", name="Keys")).to_be_hidden()
     page.keyboard.press("n")
-    expect(viewer_of(page).get_by_role("button", name="Start", exact=True)).to_be_visible(timeout=20_000)
+    expect(viewer_of(page).get_by_role("button", name="Start", exact=True)).to_be_visible()
 
 
 @pytest.mark.usefixtures("runs")
@@ -83,11 +72,11 @@ def test_the_tour_is_dismissed_for_good(server: Server, other: Page, page: Page)
     other.context.add_cookies(page.context.cookies())  # pyright: ignore[reportArgumentType]
     open_page(other, f"http://127.0.0.1:{server.port}/")
     tour = other.get_by_role("dialog", name="Start a run")
-    expect(tour).to_be_visible(timeout=20_000)
+    expect(tour).to_be_visible()
     other.get_by_role("button", name="Next").click()
     expect(other.get_by_role("dialog", name="Watch it learn")).to_be_visible()
     other.get_by_role("button", name="Dismiss").click()
     expect(other.locator("#tour")).to_be_hidden()
     other.reload()
-    expect(other.locator("#loading")).to_be_hidden(timeout=60_000)
+    expect(other.locator("#loading")).to_be_hidden()
     expect(other.locator("#tour")).to_be_hidden()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Frame, Locator, Page, expect
 from served import Server, wait_for
+from test_desk_in_a_browser import shows
 from test_studio import nodes_of, pause, turn_to, viewer_of
 
 from morph_core.catalogue import make_task
@@ -53,7 +54,8 @@ def open_run(page: Page, server: Server, run: RunFolder) -> Frame:
     page.goto(server.url)
     frame = viewer_of(page)
     frame.get_by_role("tab", name="Traces", exact=True).wait_for()
-    page.get_by_role("combobox").first.select_option(run.id)
+    page.locator("#chooser").select_option(run.id)
+    shows(page, run.id)
     return frame
 
 
@@ -109,7 +111,7 @@ def test_two_designs_stand_side_by_side_and_over_each_other(server: Server, runs
     entry = number_beside(frame, "B: iteration")
     entry.fill("10")
     entry.press("Enter")
-    expect(frame.get_by_text("+0 points").first).to_be_attached(timeout=20_000)
+    expect(frame.get_by_text("+0 points").first).to_be_attached()
     expect(frame.get_by_text(f"B: {runs[1].id}").first).to_be_attached()
     choose(frame, "show B", "overlaid")
     expect(frame.get_by_text("own colours").first).to_be_attached()

@@ -6,7 +6,7 @@ import time
 import pytest
 from playwright.sync_api import Page, expect
 from proxies import Proxy
-from served import Server
+from served import Server, wait_for
 
 from studio.recordings import Recordings
 from tests.studies import Made, write_study
@@ -40,22 +40,22 @@ def test_an_idle_page_with_600_ended_runs_costs_less_than_a_kilobyte_a_second(
         page.goto(f"{address}?{server.url.partition('?')[2]}")
         if path:
             page.goto(address + path)
-            expect(page.locator("#count")).to_have_text("600 runs", timeout=60_000)
+            expect(page.locator("#count")).to_have_text("600 runs")
         else:
             page.goto(f"{address}?run={names[0]}")
             frame = page.frame_locator("#viewer")
-            frame.get_by_role("tab", name="Timeline", exact=True).wait_for(timeout=60_000)
+            frame.get_by_role("tab", name="Timeline", exact=True).wait_for()
             expect(page.locator("#chooser option")).to_have_count(600 + len(Recordings().names()))
             page.keyboard.press(" ")  # pauses the episode, where one is played
-        page.wait_for_timeout(3000)
+        wait_for("the end of loading", lambda: rate(proxy, page, 3) < 1024, 30)
         assert rate(proxy, page, 12) < 1024
 
         # What happens is seen all the same.
         shutil.rmtree(server.runs / names[0])
         if path:
-            expect(page.locator("#count")).to_have_text("599 runs", timeout=20_000)
+            expect(page.locator("#count")).to_have_text("599 runs")
         else:
-            expect(page.locator("#words")).to_contain_text(f"{names[0]} is no longer in the folder", timeout=20_000)
+            expect(page.locator("#words")).to_contain_text(f"{names[0]} is no longer in the folder")
             expect(page.locator("#chooser option")).to_have_count(
                 600 + len(Recordings().names())
             )  # with the one that is gone

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conftest import FLAGS, chromium
+from conftest import FLAGS, PATIENCE, chromium
 from playwright.sync_api import Page, expect, sync_playwright
 from served import Server, beat_of, events_of, wait_for
 
@@ -22,7 +22,7 @@ def flat_page() -> Iterator[Page]:
         flags = [flag for flag in FLAGS if "gl" not in flag and "swiftshader" not in flag]
         browser = playwright.chromium.launch(executable_path=chromium(), args=[*flags, "--disable-3d-apis"])
         page = browser.new_page(viewport={"width": 1000, "height": 900}, accept_downloads=True)
-        page.set_default_timeout(30_000)
+        page.set_default_timeout(PATIENCE)
         yield page
         browser.close()
 
@@ -66,9 +66,9 @@ def test_a_run_is_started_steered_and_exported_without_webgl(server: Server, fla
 
     page.get_by_role("button", name="Stop").click()
     wait_for("the end", lambda: Stop in sent(), 30)
-    expect(page.get_by_role("button", name="Go on")).to_be_visible(timeout=15_000)
+    expect(page.get_by_role("button", name="Go on")).to_be_visible()
     page.get_by_label("Export").select_option("latest")
-    with page.expect_download(timeout=60_000) as download:
+    with page.expect_download() as download:
         page.get_by_role("link", name="Download the zip").click()
     download.value.save_as(tmp_path / "design.zip")
     assert "robot.xml" in zipfile.ZipFile(tmp_path / "design.zip").namelist()

@@ -31,16 +31,16 @@ def asleep() -> Iterator[None]:
 
 def go_to_iteration_9(page: Page, run: str) -> None:
     choose(page, run)
-    expect(viewer_of(page).get_by_text("design of iteration 10").first).to_be_attached(timeout=30_000)
+    expect(viewer_of(page).get_by_text("design of iteration 10").first).to_be_attached()
     page.keyboard.press("ArrowLeft")
     shows(page, run, 9)
 
 
 def comes_back(page: Page, run: str) -> None:
     """Wait until the page says nothing any more, and its viewer shows iteration 9 and obeys."""
-    expect(page.locator("#banner")).to_be_hidden(timeout=30_000)
-    expect(page.locator("#loading")).to_be_hidden(timeout=60_000)
-    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached(timeout=30_000)
+    expect(page.locator("#banner")).to_be_hidden()
+    expect(page.locator("#loading")).to_be_hidden()
+    expect(viewer_of(page).get_by_text("design of iteration 9").first).to_be_attached()
     shows(page, run, 9)
     page.keyboard.press("ArrowLeft")
     shows(page, run, 8)
@@ -51,7 +51,7 @@ def test_a_page_comes_back_to_its_place_when_the_server_does(server: Server, pag
     open_page(page, server.url)
     go_to_iteration_9(page, OLD)
     server.kill()
-    expect(page.locator("#banner")).to_contain_text("The server does not answer; trying again.", timeout=15_000)
+    expect(page.locator("#banner")).to_contain_text("The server does not answer; trying again.")
     server.start()
     comes_back(page, OLD)
 
@@ -77,7 +77,7 @@ def test_a_lost_network_is_said_and_found_again(server: Server, page: Page) -> N
     go_to_iteration_9(page, NEW)
     page.context.set_offline(True)
     banner = page.locator("#banner")
-    expect(banner).to_contain_text("This device is offline; trying again.", timeout=15_000)
+    expect(banner).to_contain_text("This device is offline; trying again.")
     expect(banner).to_contain_text("Runs go on without this page, and it comes back to where it was.")
     page.context.set_offline(False)
     comes_back(page, NEW)
@@ -88,7 +88,7 @@ def test_a_run_deleted_elsewhere_is_said_and_comes_back(server: Server, runs: Pa
     go_to_iteration_9(page, NEW)
     shutil.move(runs / NEW, tmp_path / "elsewhere")
     banner = page.locator("#banner")
-    expect(banner).to_contain_text(f"{NEW} is no longer in the folder of runs", timeout=15_000)
-    expect(viewer_of(page).get_by_text("deleted or moved").first).to_be_attached(timeout=20_000)
+    expect(banner).to_contain_text(f"{NEW} is no longer in the folder of runs")
+    expect(viewer_of(page).get_by_text("deleted or moved").first).to_be_attached()
     shutil.move(tmp_path / "elsewhere", runs / NEW)
     comes_back(page, NEW)

@@ -2,7 +2,7 @@
 
 import pytest
 from playwright.sync_api import Page, expect
-from served import Server
+from served import Server, wait_for
 
 from tests.studies import Made, write_study
 
@@ -23,10 +23,10 @@ def test_the_chooser_can_be_read_and_the_scene_has_a_third(server: Server, page:
     write_study(server.runs, [Made("direct", "direct")], [0], iterations=10)
     page.set_viewport_size({"width": width, "height": height})
     page.goto(server.url)
-    page.frame_locator("#viewer").get_by_text("Run and playback").wait_for(timeout=60_000)
-    expect(page.locator("#loading")).to_be_hidden(timeout=20_000)
+    page.frame_locator("#viewer").get_by_text("Run and playback").wait_for()
+    expect(page.locator("#loading")).to_be_hidden()
     chooser = page.locator("#chooser").bounding_box()
     assert chooser is not None
     assert chooser["width"] > 300
     assert page.evaluate("document.documentElement.scrollWidth") == width
-    assert page.frames[-1].evaluate(SCENE) > 1 / 3
+    wait_for("a third of the width", lambda: page.frames[-1].evaluate(SCENE) > 1 / 3, 10)

@@ -134,7 +134,7 @@ def test_runs_are_found_noted_archived_deleted_and_brought_back(server: Server, 
         assert page.evaluate("document.documentElement.scrollWidth") == width
     assert (complaints, page.title()) == ([], "Runs · MORPH Studio")
     server.kill()
-    expect(page.get_by_text("The server does not answer")).to_be_visible(timeout=20_000)
+    expect(page.get_by_text("The server does not answer")).to_be_visible()
 
 
 @pytest.mark.usefixtures("runs")
@@ -189,7 +189,7 @@ def test_runs_are_compared_and_a_design_is_opened_in_3d(server: Server, page: Pa
     page.mouse.up()
     page.wait_for_url(re.compile(rf"/\?run={told[1]}&iteration={told[2]}$"))
     frame = page.frame_locator("#viewer")
-    expect(frame.get_by_text(f"design of iteration {told[2]}, in its start posture")).to_be_attached(timeout=60_000)
+    expect(frame.get_by_text(f"design of iteration {told[2]}, in its start posture")).to_be_attached()
 
     # The way back leads to the same comparison.
     page.go_back()

@@ -1,12 +1,11 @@
 """A spectator in a browser of its own sees the presenter scrub, and nothing that it forges changes anything."""
 
 import re
-from collections.abc import Iterator
 from typing import Any
 
 import msgspec
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Frame, Page, expect
 from served import Server, wait_for
 from test_desk_in_a_browser import NEW, choose, open_page, shows
 from test_studio import nodes_of
@@ -14,7 +13,6 @@ from test_studio import nodes_of
 from studio.bridge import ALLOWED
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
-SOON = 20_000
 ASK = """async ([method, path, content]) => (await fetch(path, {
     method, headers: {"Content-Type": "application/json"}, body: content && JSON.stringify(content) })).status"""
 FORGE = """([path, messages]) => new Promise((done) => {
@@ -28,12 +26,15 @@ FORGE = """([path, messages]) => new Promise((done) => {
 
 
 @pytest.fixture
-def spectator(page: Page) -> Iterator[Page]:
-    browser = page.context.browser
-    assert browser is not None
-    context = browser.new_context(viewport={"width": 500, "height": 700})
-    yield context.new_page()
-    context.close()
+def spectator(other: Page) -> Page:
+    other.set_viewport_size({"width": 500, "height": 700})
+    return other
+
+
+def scene_of(spectator: Page) -> Frame:
+    frame = spectator.frame(url=re.compile("/audience/viewer/"))
+    assert frame is not None
+    return frame
 
 
 def forged(kind: str) -> list[int]:
@@ -49,16 +50,16 @@ def test_a_spectator_sees_what_the_presenter_does_and_can_do_nothing(
     choose(page, NEW)
     page.locator("#invite").click()
     page.get_by_role("button", name="Make the link").click()
-    expect(page.locator("#audience-address")).to_have_value(re.compile(r"/audience\?link=."), timeout=SOON)
+    expect(page.locator("#audience-address")).to_have_value(re.compile(r"/audience\?link=."))
     spectator.goto(page.locator("#audience-address").input_value())
-    expect(spectator.locator("#iteration")).to_have_text("10", timeout=SOON)
-    expect(page.locator("#audience-words")).to_contain_text("1 person is watching", timeout=SOON)
+    expect(spectator.locator("#iteration")).to_have_text("10")
+    expect(page.locator("#audience-words")).to_contain_text("1 person is watching")
     page.keyboard.press("Escape")
 
     page.keyboard.press("ArrowLeft")
     shows(page, NEW, 9)
-    expect(spectator.locator("#iteration")).to_have_text("9", timeout=SOON)
-    wait_for("the robot", lambda: any(n.startswith("/robot/") for n in nodes_of(spectator.frames[-1])), 30)
+    expect(spectator.locator("#iteration")).to_have_text("9")
+    wait_for("the robot", lambda: any(n.startswith("/robot/") for n in nodes_of(scene_of(spectator))), 30)
 
     path = spectator.locator("#scene").get_attribute("src")
     assert path is not None
@@ -69,8 +70,14 @@ def test_a_spectator_sees_what_the_presenter_does_and_can_do_nothing(
         assert spectator.evaluate(ASK, [method, address, None if method == "GET" else {}]) == 403, address
     shows(page, NEW, 9)
 
+    spectator.get_by_role("button", name="Look around alone").click()
+    alone = spectator.frame_locator("#evolution")
+    expect(alone.locator("#runs")).to_contain_text(NEW)
+    spectator.get_by_role("button", name="Back to the presenter").click()
+    expect(spectator.locator("#iteration")).to_be_visible()
+
     page.locator("#invite").click()
     page.get_by_role("button", name="End the link").click()
-    expect(spectator.locator("#sentence")).to_contain_text("has ended this link", timeout=SOON)
+    expect(spectator.locator("#sentence")).to_contain_text("has ended this link")
     spectator.reload()
     expect(spectator.locator("body")).to_contain_text("does not let anybody in")

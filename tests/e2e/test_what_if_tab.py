@@ -37,7 +37,7 @@ def test_a_person_changes_the_body_by_hand_and_goes_on_from_it(server: Server, p
 
     turn_to(frame, "What if")
     press(frame, "Change this body…")
-    expect(frame.get_by_text("128 episodes on Hw-Phy").first).to_be_attached(timeout=60_000)
+    expect(frame.get_by_text("128 episodes on Hw-Phy").first).to_be_attached()
     recorded, before = number_beside(frame, "link 1 [m]").input_value(), sizes_of(frame)
 
     entry = number_beside(frame, "link 1 [m]")
@@ -45,7 +45,7 @@ def test_a_person_changes_the_body_by_hand_and_goes_on_from_it(server: Server, p
     entry.press("Enter")
     wait_for("another body", lambda: sizes_of(frame) != before, 30)
     expect(frame.get_by_text("a body changed by hand").first).to_be_attached()
-    expect(frame.get_by_text("recorded body").first).to_be_attached(timeout=60_000)
+    expect(frame.get_by_text("recorded body").first).to_be_attached()
 
     press(frame, "Which parameter limits it?")
     curves = frame.locator('svg[aria-label="success and return along the parameter"]')

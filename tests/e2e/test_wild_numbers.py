@@ -20,15 +20,13 @@ def type_into(frame: Frame, label: str, words: str) -> None:
     frame.page.wait_for_timeout(500)
 
 
-def test_the_next_browser_is_served(server: Server, page: Page) -> None:
+def test_the_next_browser_is_served(server: Server, page: Page, other: Page) -> None:
     write_study(server.runs, [Made("direct", "direct")], [0], iterations=10)
     frame = open_studio(page, server)
     for label in ("iterations", "seed"):
         for wild in WILD:
             type_into(frame, label, wild)
-    browser = page.context.browser
-    assert browser is not None
-    other = browser.new_context(storage_state=page.context.storage_state()).new_page()
+    other.context.add_cookies(page.context.cookies())  # pyright: ignore[reportArgumentType]
     other.goto(f"http://127.0.0.1:{server.port}/")
-    viewer_of(other).get_by_role("button", name="Start", exact=True).wait_for(timeout=60_000)
+    viewer_of(other).get_by_role("button", name="Start", exact=True).wait_for()
     assert "OverflowError" not in "".join(server._lines)

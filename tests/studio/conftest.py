@@ -40,7 +40,6 @@ from morph_core.protocol import (
 )
 from morph_core.run_folder import EventLog, RunFolder, create_run, list_runs, process_alive, write_episode
 from morph_core.what_if import Measured
-from studio.album import Album
 from studio.app import create_app
 from studio.branches import Member
 from studio.bridge import MAX_MESSAGE
@@ -49,6 +48,7 @@ from studio.desks import Presenting
 from studio.export.bundle import Bundle
 from studio.export.check import Check
 from studio.export.design_file import Design, Value
+from studio.filming import FilmState, FilmWish
 from studio.new_run import StartRun, prepare_run
 from studio.recordings import Recordings
 from studio.runs import Runs
@@ -201,8 +201,9 @@ def design_of(history: History, phi: list[float]) -> Design:
     )  # fmt: skip
 
 
-def eventually(claim: Callable[[], object], seconds: float = 10.0) -> object:
-    """Return the first true value of `claim`, or its last value after `seconds`."""
+def eventually(claim: Callable[[], object], seconds: float = 30.0) -> object:
+    """Return the first true value of `claim`, or its last value after `seconds`: many, for a machine that does much
+    else."""
     deadline = time.monotonic() + seconds
     while not (value := claim()) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -305,6 +306,30 @@ class Neighbours:
 
 
 @dataclass
+class Cutter:
+    """Films that nobody makes: a test says how far they are."""
+
+    state: FilmState = field(default_factory=FilmState)
+    wishes: list[FilmWish] = field(default_factory=list)
+    refusal: str | None = None
+    path: Path | None = None
+
+    def start(self, wish: FilmWish) -> FilmState:
+        if self.refusal:
+            raise ValueError(self.refusal)
+        self.wishes.append(wish)
+        self.state = FilmState(state="making", number=len(self.wishes), wish=wish, name=wish.file_name)
+        return self.state
+
+    def cancel(self) -> FilmState:
+        self.state = msgspec.structs.replace(self.state, state="cancelled")
+        return self.state
+
+    def file(self, number: int) -> Path | None:
+        return self.path if number == self.state.number else None
+
+
+@dataclass
 class Page:
     """A viewer, and what it has asked for."""
 
@@ -322,6 +347,7 @@ class Page:
     answers: Oracle = field(default_factory=Oracle)
     album: Stars = field(default_factory=Stars)
     others: Neighbours = field(default_factory=Neighbours)
+    films: Cutter = field(default_factory=Cutter)
     refusal: str | None = None
     family: Member | None = None
 
@@ -369,7 +395,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
         heed(lambda: page.branched.append((run_id, iteration, phi)))
         return NAME
 
-    answers, album, others = Oracle(), Stars(), Neighbours()
+    answers, album, others, films = Oracle(), Stars(), Neighbours(), Cutter()
     viewer = Viewer(
         server,
         on_command=lambda run_id, command, _: heed(lambda: page.commands.append((run_id, command))),
@@ -381,9 +407,10 @@ def page(tmp_path: Path) -> Iterator[Page]:
         family=lambda _: page.family,
         album=album,
         others=others,
+        films=films,
         recordings=Recordings(tmp_path / "recordings"),
     )
-    page = Page(server, viewer, answers=answers, album=album, others=others)
+    page = Page(server, viewer, answers=answers, album=album, others=others, films=films)
     yield page
     viewer.stop()
     server.stop()
@@ -451,7 +478,7 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     """Serve the real application on a free port; end the stand-ins it has started."""
     viewers: list[Blackboard] = []
 
-    def desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, _: Album) -> Blackboard:
+    def desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, *_: object) -> Blackboard:
         viewers.append(Blackboard(server, runs, what_ifs))
         return viewers[0]
 
@@ -467,7 +494,7 @@ def serving(settings: Settings, spawn: Callable[..., subprocess.Popen[bytes]] = 
     assert eventually(lambda: server.started)
     headers = {"Authorization": f"Bearer {TOKEN}"}
     try:
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=headers, timeout=20) as client:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=headers, timeout=120) as client:
             yield Served(app, port, client, viewers)
     finally:
         server.should_exit = True

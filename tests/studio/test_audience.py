@@ -3,11 +3,13 @@
 import asyncio
 import contextlib
 import json
+import math
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass, field
 from importlib.resources import files
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +17,7 @@ import anyio
 import httpx
 import msgspec
 import pytest
-from conftest import TOKEN, Page, Served, eventually, make_run, serving
+from conftest import TOKEN, Page, Served, append, eventually, make_run, progress, serving
 from hypothesis import given
 from hypothesis import strategies as st
 from starlette.datastructures import Headers
@@ -29,8 +31,10 @@ from websockets.typing import Origin
 
 from morph_core.history import History
 from studio import audience as audience_module
+from studio import evolutions as evolutions_module
 from studio.audience import Audience
 from studio.desks import Presenting
+from studio.evolutions import Evolutions
 from studio.invitation import Invitation, may_ask
 from studio.security import MOST_GUESSES, Guesses
 from studio.settings import Settings
@@ -73,7 +77,7 @@ class Hall:
     @contextlib.contextmanager
     def listening(self, key: str = KEY) -> Iterator[Iterator[tuple[str, Any]]]:
         """Take a seat; give the events that come."""
-        with self.spectator.stream("GET", "/audience/events", params={"seat": key}, timeout=10) as stream:
+        with self.spectator.stream("GET", "/audience/events", params={"seat": key}, timeout=30) as stream:
             yield events_of(stream.iter_lines())
 
     def watch(
@@ -114,13 +118,15 @@ def next_of(events: Iterator[tuple[str, Any]], kind: str) -> Any:
     return next(content for name, content in events if name == kind)
 
 
-def presenting(scene: SceneCopy, position: tuple[float, ...] = (0.0, -2.0, 1.0)) -> Presenting:
+def presenting(
+    scene: SceneCopy, position: tuple[float, ...] = (0.0, -2.0, 1.0), history: History | None = None
+) -> Presenting:
     """Return a browser that shows a scene, without a viewer behind it."""
     camera = SimpleNamespace(
         position=position, look_at=(0.0, 0.0, 0.0), up_direction=(0.0, 0.0, 1.0), fov=0.7, aspect=1.0
     )
     client: Any = SimpleNamespace(camera=camera)
-    viewer: Any = SimpleNamespace(presented=(SEEN, None))
+    viewer: Any = SimpleNamespace(presented=(SEEN, history))
     return Presenting(client, viewer, scene)
 
 
@@ -129,6 +135,7 @@ def presenting(scene: SceneCopy, position: tuple[float, ...] = (0.0, -2.0, 1.0))
 OPEN_TO_SPECTATORS = {
     ("GET", "/healthz"), ("GET", "/audience"), ("GET", "/audience/events"), ("GET", f"/audience/viewer/{KEY}/"),
     ("PUT", f"/audience/seats/{KEY}"), ("WEBSOCKET", f"/audience/viewer/{KEY}"),
+    ("GET", f"/audience/runs/{KEY}/evolution.html"),
     *(("GET", f"/page/{name}") for name in ("audience.css", "audience.js", "icon.svg", "theme.js", "vendor/charts.js")),
 }  # fmt: skip
 
@@ -168,7 +175,8 @@ def status_of_socket(hall: Hall, path: str) -> int:
     "path",
     ["/audience/", "//audience", "/audience/viewer", "/audience/viewer/short/", f"/audience/viewer/{KEY}/../../x",
      "/page/../api/runs", "/page/index.html", "/audience/../api/runs", "/AUDIENCE", "/audience%2f..%2fapi%2fruns",
-     "/audience\n", "/nowhere"],
+     "/audience\n", "/nowhere", "/audience/runs/a/../b/evolution.html", "/audience/runs/.trash/evolution.html",
+     "/audience/runs/a-run/evolution.html/..", "/audience/runs/a%2fb/evolution.html"],
 )  # fmt: skip
 def test_no_odd_path_leads_a_spectator_further(hall: Hall, path: str) -> None:
     with socket.create_connection(("127.0.0.1", hall.served.port)) as raw:
@@ -184,6 +192,7 @@ def test_what_is_allowed_is_so_by_one_method_alone() -> None:
         "/audience/events",
         f"/audience/seats/{KEY}",
         f"/audience/viewer/{KEY}",
+        "/audience/runs/a-run/evolution.html",
         "/page/theme.js",
     ):
         assert sum(may_ask(method, path) for method in ("GET", "PUT", "POST", "PATCH", "DELETE", "WEBSOCKET")) == 1, (
@@ -360,6 +369,53 @@ def test_spectators_are_told_what_is_shown_and_when_nobody_shows_anything(
         assert left["seen"]["run"] == "a-run", "what was seen last stays"
 
 
+# --- on one's own -----------------------------------------------------------------------------------------------------
+
+
+def test_a_spectator_looks_alone_at_runs_that_were_shown_and_at_no_others(hall: Hall) -> None:
+    shown, other = (make_run(hall.served.runs.folder, f"2026010{i}-000000-reacher-morph-s0") for i in (1, 2))
+    hall.served.viewer.presents = presenting(copy_of(connection()), history=History(shown))
+    with hall.listening() as events:
+        assert next(s["runs"] for kind, s in events if kind == "stage" and s["runs"]) == [shown.id]
+        answer = hall.spectator.get(f"/audience/runs/{shown.id}/evolution.html")
+        assert (answer.status_code, answer.headers["content-type"]) == (200, "text/html; charset=utf-8")
+        assert answer.headers["content-security-policy"].startswith("sandbox allow-scripts;"), "of no origin"
+        assert "default-src 'none'" in answer.text, "it asks the server for nothing"
+        refused = hall.spectator.get(f"/audience/runs/{other.id}/evolution.html")
+        assert (refused.status_code, "has not shown this run" in refused.text) == (404, True)
+        hall.served.client.delete("/api/audience")
+    assert hall.audience.offered == (), "the next audience begins anew"
+    hall.served.client.post("/api/audience", json={})
+    assert hall.served.client.get(f"/audience/runs/{shown.id}/evolution.html").status_code == 404
+
+
+def test_the_page_of_a_run_is_written_once_for_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, written = make_run(tmp_path), []
+
+    def build(histories: list[History]) -> Any:
+        written.append(histories[0].iteration)
+        return SimpleNamespace(content=b"iteration %d" % histories[0].iteration)
+
+    monkeypatch.setattr(evolutions_module, "build_evolution", build)
+
+    async def look() -> None:
+        pages = Evolutions(lambda _: History(folder))
+        async with anyio.create_task_group() as tasks:
+            for _ in range(5):
+                tasks.start_soon(pages.page, "a run")
+        append(folder, progress(4))
+        assert await pages.page("a run") == b"iteration 3"
+        monkeypatch.setattr(evolutions_module, "REST", 0.0)
+        monkeypatch.setattr(evolutions_module, "SHARE", math.inf)
+        assert await pages.page("a run") == b"iteration 4"
+        for i in range(evolutions_module.KEPT):
+            await pages.page(f"another run {i}")
+        await pages.page("a run")
+
+    anyio.run(look)
+    assert written == [3, 4, *[4] * evolutions_module.KEPT, 4], "of few runs it is kept"
+
+
 # --- the scene --------------------------------------------------------------------------------------------------------
 
 
@@ -490,7 +546,7 @@ def test_a_spectator_who_takes_nothing_holds_nobody_up(hall: Hall) -> None:
             stalled.recv()
             mover.start()
             try:
-                taken = [len(browser.recv(timeout=5)) for _ in range(20)]
+                taken = [len(browser.recv(timeout=30)) for _ in range(20)]
             finally:
                 stop.set()
                 mover.join()

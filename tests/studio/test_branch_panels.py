@@ -21,7 +21,7 @@ def test_the_button_branches_where_the_timeline_stands(page: Page, trained: RunF
     viewer.timeline.follow.value, viewer.timeline.iteration.value = False, 3
     page.show(trained)
     assert viewer.run.branch.label == "Branch from here (iteration 3)"
-    viewer._open_branch(None)
+    viewer.beginning.open_branch(None)
     form = viewer.start
     assert form.folder.visible
     assert f"branches at iteration 2 of {trained.id}, the nearest checkpoint up to iteration 3" in form.source.content
@@ -42,7 +42,7 @@ def test_the_button_branches_where_the_timeline_stands(page: Page, trained: RunF
 
 def test_the_form_of_a_branch_asks_for_what_is_changed(page: Page, trained: RunFolder) -> None:
     page.show(trained)
-    page.viewer._open_branch(None)
+    page.viewer.beginning.open_branch(None)
     form = page.viewer.start
     form.settings.alpha.value = 0.5
     assert form._bounds
@@ -56,7 +56,7 @@ def test_the_form_of_a_branch_asks_for_what_is_changed(page: Page, trained: RunF
         ("link_1", 0.5, 4.0, None), ("link_5", 0.05, 5.0, None)
     ]  # fmt: skip
     page.viewer.select(trained.id)
-    page.viewer._open_branch(None)
+    page.viewer.beginning.open_branch(None)
     form.method.value = "direct"
     assert "another method counts from 0" in form.source.content
     form.submit(None)
@@ -86,7 +86,7 @@ def test_bounds_and_a_design_to_start_from_go_together(page: Page, trained: RunF
 @pytest.mark.parametrize("way", ["opened", "button"])
 def test_a_branch_is_forgotten_for_a_new_run(page: Page, trained: RunFolder, way: str) -> None:
     page.show(trained)
-    page.viewer._open_branch(None)
+    page.viewer.beginning.open_branch(None)
     if way == "button":
         page.viewer.start._forget()
     else:
@@ -101,7 +101,7 @@ def test_what_can_not_be_branched_from_is_said(page: Page, parent: RunFolder) ->
     shutil.rmtree(parent.checkpoint(2))
     (parent.checkpoint(4) / "state.json").write_text("{")
     page.show(parent)
-    page.viewer._open_branch(None)
+    page.viewer.beginning.open_branch(None)
     assert f"checkpoint 4 of {parent.id} can" in page.viewer.notice.content
     assert page.viewer.selected == parent.id
 
@@ -116,7 +116,7 @@ def test_tree_and_log_are_shown_in_their_tab(page: Page, trained: RunFolder) -> 
     assert panel.log.content.index("finished") < panel.log.content.index("trainer started")
     child = Member("child<b>", Parent(trained.id, 3, 2))
     page.family = Member(trained.id, children=[child, Member("gone", Parent(trained.id, 4), here=False)])
-    page.viewer._tree = (None, None)
+    page.viewer.log._found = (None, None)
     page.show(trained)
     assert "child&lt;b&gt;" in panel.tree.content
     assert "from iteration 2, asked for 3" in panel.tree.content

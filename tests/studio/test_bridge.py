@@ -55,7 +55,7 @@ def say(connection: Connection, message: Mapping[str, object]) -> None:
     connection.send(msgspec.msgpack.encode(message))
 
 
-def heard(connection: Connection, kind: str, seconds: float = 5.0) -> dict:
+def heard(connection: Connection, kind: str, seconds: float = 30.0) -> dict:
     """Return the next message of this kind that the viewer sends."""
     while True:
         frame = connection.recv(timeout=seconds)
@@ -76,7 +76,7 @@ def closes(connection: Connection) -> int | None:
 
 def _listen(connection: Connection) -> None:
     while True:
-        connection.recv(timeout=5)
+        connection.recv(timeout=30)
 
 
 # --- viser's own port -------------------------------------------------------------------------------------------------

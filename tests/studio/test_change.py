@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from morph_core.catalogue import TASKS, make_task
 from morph_core.design import DesignSpace
 from morph_core.history import History
-from morph_core.protocol import Parameter, SetBound
+from morph_core.protocol import Lock, Parameter, SetBound
 from morph_core.run_folder import RunFolder
 from studio.viewer.change import change_table
 from studio.viewer.charts import MARK
@@ -244,16 +244,21 @@ def test_the_cost_of_a_search_stays_until_the_next_one(folder: RunFolder) -> Non
 def test_bounds_that_the_browser_rounded_are_no_edits(page: Page, folder: RunFolder) -> None:
     page.show(folder, "running")
     rows = page.viewer.design.rows
-    rows["placement_1"].bounds.value = (-3.142, 3.142)  # of -pi and pi
+    rows["placement_1"].bounds.value = (-180.0, 180.0)  # of -pi and pi
     assert page.viewer.design.commands() == []
-    rows["placement_1"].bounds.value = (-0.5, 3.142)
-    assert page.viewer.design.commands() == [SetBound("placement_1", -0.5, np.pi)]
+    rows["placement_1"].bounds.value = (-30.0, 180.0)
+    rows["length_2"].locked.value, rows["length_2"].value.value = True, 15.0  # cm
+    assert page.viewer.design.commands() == [SetBound("placement_1", -np.pi / 6, np.pi), Lock("length_2", 0.15)]
 
 
-def test_a_heading_gives_an_angle_in_degrees_too(page: Page, folder: RunFolder) -> None:
+def test_a_finger_has_one_heading_with_both_of_its_parameters(page: Page, folder: RunFolder) -> None:
     page.show(folder, "running")
-    assert str(page.viewer.design.rows["placement_1"].folder.label).startswith("placement_1: 0.100 rad, 5.7°")
-    assert str(page.viewer.design.rows["length_2"].folder.label).startswith("length_2: 0.")
+    groups = page.viewer.design.groups
+    assert [group.name for group in groups] == ["finger 1", "finger 2", "finger 3", "finger 4"]
+    assert str(groups[0].folder.label).startswith("finger 1: placement 5.7°, length ")
+    assert groups[0].told.visible
+    assert "placement_1: 5.7° (initially 0.0°)<br>length_1: 17.0 cm" in groups[0].told.content
+    assert [row.locked.label for row in page.viewer.design.rows.values()][:2] == ["placement locked", "length locked"]
 
 
 def test_a_run_can_begin_with_a_design_that_was_exported(page: Page, folder: RunFolder) -> None:

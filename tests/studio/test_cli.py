@@ -302,12 +302,12 @@ def test_a_design_from_a_bundle_is_shown_and_starts_a_run(folder: RunFolder, tmp
     shown = morph_studio("import", bundle)
     assert shown.returncode == 0
     assert shown.stdout.startswith(f"reacher, iteration 1 of {folder.id}\n  link_1 = ")
-    words = ["import", bundle, "--start", "--iterations", "1", "--seed", "5", "--runs", str(tmp_path / "new")]
-    done = morph_studio(*words)
+    words = ["--iterations", "1", "--seed", "5", "--method", "no_hw_opt", "--runs", str(tmp_path / "new")]
+    done = morph_studio("import", bundle, "--start", *words)
     assert done.returncode == 0, done.stderr
     [started] = (tmp_path / "new").iterdir()
     record = History(RunFolder(started)).record
-    assert record.seed == 5
+    assert (record.seed, record.method, record.iterations) == (5, "no_hw_opt", 1)
     assert [p.initial for p in record.parameters] == History(folder).design("best")[1].tolist()
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 import viser
-from conftest import NAME, Neighbours, Oracle, Served, Stars, eventually, make_run
+from conftest import NAME, Cutter, Neighbours, Oracle, Served, Stars, eventually, make_run
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 from websockets.typing import Subprotocol
@@ -63,6 +63,7 @@ class Room:
             family=lambda _: None,
             album=Stars(),
             others=Neighbours(self.histories),
+            films=Cutter(),
             recordings=Recordings(),
         )
         self.viewers.append(viewer)
@@ -139,7 +140,7 @@ def test_steering_goes_to_the_run_and_says_who_did_it(room: Room) -> None:
         assert room.shows(key("b"), NAME)
         viewer = room.viewer_of(key("b"))
         client = next(c for c in room.guarded.server.get_clients().values() if key_of(c) == key("b"))
-        viewer._send(lambda: [Pause()], client)
+        viewer.wishes.send(lambda: [Pause()], client)
         assert room.commands == [(NAME, Pause(), f"studio, browser {client.client_id}")]
 
 

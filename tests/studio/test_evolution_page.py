@@ -5,6 +5,7 @@ import gzip
 import hashlib
 import json
 import re
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from morph_core.catalogue import make_task
 from morph_core.history import History
 from morph_core.protocol import Evaluation
 from morph_core.run_folder import RunFolder, write_episode
+from morph_core.tasks.hand import FINGER_RADIUS
 from studio.cli import run
 from studio.shelf.marks import Marks, write_marks
 from studio.show import bodies, course, evolution, sheet
@@ -149,8 +151,15 @@ def test_an_episode_is_played_where_it_was_recorded(tmp_path: Path, task: str) -
     figure = Figure.from_model(model, filled(model, qpos))
     places = np.cumsum(episode["steps"], axis=2, dtype=np.int16) / 32767  # (n, 7, T + 1)
     moving = [i for i, name in enumerate(figure.names) if name not in ("table", "goal")]
-    assert sorted(parts[p]["name"] for p in episode["parts"]) == sorted(figure.names[i] for i in moving)
+    names = [parts[part]["name"] for part in episode["parts"]]
+    assert sorted(name for name in names if name != "mount") == sorted(figure.names[i] for i in moving)
+    turned = places[[k for k, name in enumerate(names) if name == "mount"], :, 0]  # a finger stands on each
+    roots = np.array([model.body(f"finger_{i + 1}_proximal").pos for i in range(made.hand.fingers)])
+    expected = (roots[:, 0] + 1j * roots[:, 1]) / np.hypot(roots[:, 0], roots[:, 1])
+    np.testing.assert_allclose(np.exp(2j * np.arctan2(turned[:, 6], turned[:, 3])), expected, atol=1e-3)
     for k, part in enumerate(episode["parts"]):
+        if names[k] == "mount":
+            continue
         nearest = min(
             (i for i in moving if figure.names[i] == parts[part]["name"]),
             key=lambda i: np.abs(episode["reach"] * places[k, :3, 0] - figure.positions[0, i]).max(),
@@ -163,6 +172,13 @@ def test_an_episode_is_played_where_it_was_recorded(tmp_path: Path, task: str) -
     assert episode["pressed"].tolist() == [0, 0, 1, 1, 0]
     assert (episode["contact"] == -32768).all(2).sum() == 9
     np.testing.assert_allclose(episode["contact"][2, 1] / 32767 * episode["reach"], [0.01, -0.02, 0.03], atol=1e-4)
+    links = [part for part in parts if part["name"].endswith(("proximal", "distal"))]
+    assert {part["kind"] for part in links} == {"link"}
+    for part in links:
+        corners = run_["cast"]["meshes"][part["mesh"]]["vertices"]
+        assert np.abs(corners[:, 2]).max() == pytest.approx(0.1 + FINGER_RADIUS, abs=0.001)  # m
+        assert np.abs(corners[:, 2]).min() > 0.05, "a corner in the middle would not move with its end"
+        assert np.abs(corners[:, :2]).max() < FINGER_RADIUS + 0.0005
 
 
 def evaluated(iteration: int, phi: list[float], episode: str | None = None, success: float = 0.5) -> Evaluation:
@@ -250,6 +266,9 @@ def test_episodes_beyond_the_budget_are_left_out_and_the_page_says_so(
     assert 3 <= len(kept) < 7
     assert {3, 20, 35} <= set(kept)
     assert f"Of 7 recorded episodes the page holds {len(kept)}" in page.missing
+    other = RunFolder(Path(shutil.copytree(folder.path, tmp_path / "other")))
+    both = carried(build_evolution([History(folder), History(other)]))["runs"]
+    assert all(len(one["episodes"]) < len(kept) for one in both), "two runs share the room"
 
 
 def test_a_mesh_beyond_the_limit_is_a_box(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

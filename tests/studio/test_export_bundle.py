@@ -1,16 +1,19 @@
 """The exported zip or folder: whole, the same every time, and honest about where it comes from."""
 
+import functools
 import hashlib
 import io
 import json
 import os
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import mujoco
 import pytest
 
+from morph_core import durable
 from morph_core.history import History
 from morph_core.protocol import (
     Acknowledged,
@@ -22,21 +25,21 @@ from morph_core.protocol import (
     StateChanged,
 )
 from morph_core.run_folder import EventLog, RunFolder
-from studio.export.bundle import build_bundle
+from studio.export.archive import zipped
+from studio.export.bundle import Bundle, build_bundle
 from studio.export.errors import ExportError
-from studio.export.place import write_bundle
+from studio.export.place import check_place, write_bundle
 from studio.export.verify import verify
 from studio.new_run import StartRun, prepare_run
 
-FAST = ["mjcf", "urdf"]
+FAST = ("mjcf", "urdf")
 """Formats for what is no matter of prints, which take longest."""
 PHIS = {1: [3.0, 2.9, 2.8, 2.7, 2.6], 2: [2.5, 2.0, 1.5, 1.0, 0.05], 3: [2.2, 1.0, 1.6, 2.4, 1.4]}
 
 
-@pytest.fixture
-def history(tmp_path: Path) -> History:
-    """A run of three iterations, the second evaluated best; after it link_1 was bounded."""
-    folder = prepare_run(tmp_path / "runs", StartRun(task="reacher", seed=7, settings={"alpha": 2.0}))
+def write_run(runs: Path) -> History:
+    """Return a run of three iterations, the second evaluated best; after it link_1 was bounded."""
+    folder = prepare_run(runs, StartRun(task="reacher", seed=7, settings={"alpha": 2.0}))
     log = EventLog(folder)
     log.append(StateChanged(status="running", iteration=0))
     log.append(Acknowledged(id=1, iteration=0, accepted=True, command=SetAlpha(3.0)))
@@ -58,6 +61,24 @@ def history(tmp_path: Path) -> History:
     return History(folder)
 
 
+@pytest.fixture(scope="module")
+def history(tmp_path_factory: pytest.TempPathFactory) -> History:
+    """The run of which most is exported; nobody changes it."""
+    return write_run(tmp_path_factory.mktemp("runs"))
+
+
+@pytest.fixture
+def changeable(tmp_path: Path) -> History:
+    """A run of the same kind that a test may change."""
+    return write_run(tmp_path / "runs")
+
+
+@pytest.fixture(scope="module")
+def built(history: History) -> Callable[..., Bundle]:
+    """Export a design of that run, or give what was exported when it was last asked for."""
+    return functools.cache(lambda which, formats=FAST: build_bundle(history, which, formats))
+
+
 def unpack(content: bytes) -> dict[str, bytes]:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
@@ -77,8 +98,8 @@ def test_a_design_changed_by_hand_is_exported_under_a_name_that_says_so(history:
             build_bundle(history, "3", None, wrong)
 
 
-def test_the_zip_holds_robot_scene_design_and_provenance(history: History) -> None:
-    bundle = build_bundle(history, "best")
+def test_the_zip_holds_robot_scene_design_and_provenance(history: History, built: Callable[..., Bundle]) -> None:
+    bundle = built("best", None)
     files = unpack(bundle.content)
     assert bundle.name == f"{history.folder.id}-best-000002.zip"
     parts = {"base", *(f"link_{i}" for i in range(1, 6))}
@@ -97,8 +118,8 @@ def test_the_zip_holds_robot_scene_design_and_provenance(history: History) -> No
 
 
 @pytest.mark.parametrize(("which", "iteration"), [("best", 2), ("latest", 3), ("1", 1)])
-def test_the_chosen_design_is_the_one_written(history: History, which: str, iteration: int) -> None:
-    files = unpack(build_bundle(history, which, FAST).content)
+def test_the_chosen_design_is_the_one_written(built: Callable[..., Bundle], which: str, iteration: int) -> None:
+    files = unpack(built(which).content)
     design = json.loads(files["design.json"])
     assert design["iteration"] == iteration
     assert [p["value"] for p in design["parameters"]] == PHIS[iteration]
@@ -106,21 +127,23 @@ def test_the_chosen_design_is_the_one_written(history: History, which: str, iter
     assert [2 * model.geom(f"link_{i + 1}").size[1] for i in range(5)] == pytest.approx(PHIS[iteration], rel=1e-15)
 
 
-def test_iteration_0_is_the_initial_design(history: History) -> None:
-    design = json.loads(unpack(build_bundle(history, "0", FAST).content)["design.json"])
+def test_iteration_0_is_the_initial_design(built: Callable[..., Bundle]) -> None:
+    design = json.loads(unpack(built("0").content)["design.json"])
     assert [p["value"] for p in design["parameters"]] == [3.0] * 5
 
 
-def test_bounds_and_commands_are_those_in_force_for_the_design(history: History) -> None:
-    before, after = (unpack(build_bundle(history, which, FAST).content) for which in ("2", "3"))
+def test_bounds_and_commands_are_those_in_force_for_the_design(built: Callable[..., Bundle]) -> None:
+    before, after = (unpack(built(which).content) for which in ("best", "latest"))
     bounds = [json.loads(files["design.json"])["parameters"][0] for files in (before, after)]
     assert [(p["lo"], p["hi"]) for p in bounds] == [(0.05, 5.0), (1.0, 2.3)]
     commands = [json.loads(files["provenance.json"])["commands"] for files in (before, after)]
     assert [[c["command"]["type"] for c in each] for each in commands] == [["set_alpha"], ["set_alpha", "set_bound"]]
 
 
-def test_provenance_says_where_it_comes_from_and_digests_every_other_file(history: History) -> None:
-    files = unpack(build_bundle(history, "latest", FAST).content)
+def test_provenance_says_where_it_comes_from_and_digests_every_other_file(
+    history: History, built: Callable[..., Bundle]
+) -> None:
+    files = unpack(built("latest").content)
     provenance = json.loads(files.pop("provenance.json"))
     assert provenance["sha256"] == {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     assert (provenance["run"], provenance["iteration"], provenance["seed"]) == (history.folder.id, 3, 7)
@@ -132,16 +155,16 @@ def test_provenance_says_where_it_comes_from_and_digests_every_other_file(histor
     assert len(provenance["checks"]) > 10
 
 
-def test_two_exports_differ_in_nothing_but_the_time(history: History) -> None:
-    first, second = (unpack(build_bundle(history, "best").content) for _ in range(2))
+def test_two_exports_differ_in_nothing_but_the_time(history: History, built: Callable[..., Bundle]) -> None:
+    first, second = (unpack(bundle.content) for bundle in (built("best", None), build_bundle(history, "best")))
     times = [json.loads(files.pop("provenance.json")).pop("exported") for files in (first, second)]
     assert all(time.endswith("Z") for time in times)
     assert first == second
 
 
-def test_one_format_alone_leaves_the_other_out(history: History) -> None:
-    assert "robot.xml" not in unpack(build_bundle(history, "best", ["urdf"]).content)
-    assert "robot.urdf" not in unpack(build_bundle(history, "best", ["mjcf"]).content)
+def test_one_format_alone_leaves_the_other_out(built: Callable[..., Bundle]) -> None:
+    assert "robot.xml" not in unpack(built("best", ("urdf",)).content)
+    assert "robot.urdf" not in unpack(built("1", ("mjcf",)).content)
 
 
 @pytest.mark.parametrize("formats", [["dwg"], ["mjcf", "3mff"], [""], []])
@@ -170,24 +193,24 @@ def test_a_design_that_is_not_there_is_refused(history: History, which: str) -> 
 
 
 @pytest.mark.parametrize("phi", [[1e9, 1, 1, 1, 1], [0.0, 1, 1, 1, 1]])
-def test_a_recorded_design_outside_the_task_is_refused(history: History, phi: list[float]) -> None:
-    log = EventLog(history.folder)
+def test_a_recorded_design_outside_the_task_is_refused(changeable: History, phi: list[float]) -> None:
+    log = EventLog(changeable.folder)
     log.append(Progress(iteration=4, env_steps=9, phi=phi, episode_return=0, success=0, policy_std=0.5))
-    history.poll()
+    changeable.poll()
     with pytest.raises(ExportError, match=r"the design (has|is)|of the design"):
-        build_bundle(history, "latest", FAST)
+        build_bundle(changeable, "latest", FAST)
 
 
-def test_a_run_of_an_unknown_task_is_refused(history: History) -> None:
-    record = msgspec.structs.replace(history.record, task="juggling")
-    (history.folder.path / "run.json").write_bytes(msgspec.json.encode(record))
+def test_a_run_of_an_unknown_task_is_refused(changeable: History) -> None:
+    record = msgspec.structs.replace(changeable.record, task="juggling")
+    (changeable.folder.path / "run.json").write_bytes(msgspec.json.encode(record))
     with pytest.raises(ExportError, match=r"choose from: .*reacher"):
-        build_bundle(History(history.folder), "best")
+        build_bundle(History(changeable.folder), "best")
 
 
-def test_a_hostile_run_name_does_not_reach_a_file_name(history: History) -> None:
-    hostile = history.folder.path.with_name("..\\ a\n$(touch x)" + "é" * 60)
-    history.folder.path.rename(hostile)
+def test_a_hostile_run_name_does_not_reach_a_file_name(changeable: History) -> None:
+    hostile = changeable.folder.path.with_name("..\\ a\n$(touch x)" + "é" * 60)
+    changeable.folder.path.rename(hostile)
     bundle = build_bundle(History(RunFolder(hostile)), "best", FAST)
     name, content = bundle.name, bundle.content
     assert name.isascii()
@@ -197,50 +220,68 @@ def test_a_hostile_run_name_does_not_reach_a_file_name(history: History) -> None
     assert json.loads(unpack(content)["provenance.json"])["run"] == hostile.name
 
 
-def test_a_zip_is_written_to_the_path(history: History, tmp_path: Path) -> None:
-    out = write_bundle(build_bundle(history, "best", FAST), tmp_path / "new folder" / "arm.zip")
+def test_a_zip_is_written_to_the_path(built: Callable[..., Bundle], tmp_path: Path) -> None:
+    for which in ("1", "best"):  # the second takes the place of the first
+        out = write_bundle(built(which), tmp_path / "new folder" / "arm.zip")
     assert all(check.passed for check in verify(unpack(out.read_bytes())))
     assert [p.name for p in out.parent.iterdir()] == ["arm.zip"]
 
 
-def test_a_folder_is_written_and_an_earlier_export_replaced(history: History, tmp_path: Path) -> None:
+def test_a_folder_is_written_and_an_earlier_export_replaced(built: Callable[..., Bundle], tmp_path: Path) -> None:
     out = tmp_path / "arm"
-    write_bundle(build_bundle(history, "1", ["mjcf"]), out)
-    write_bundle(build_bundle(history, "best", ["urdf"]), out)
+    write_bundle(built("1", ("mjcf",)), out)
+    write_bundle(built("best", ("urdf",)), out)
     assert (out / "robot.urdf").exists()
     assert not (out / "robot.xml").exists()
     assert json.loads((out / "design.json").read_text())["iteration"] == 2
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["arm", "runs"]
+    assert [p.name for p in tmp_path.iterdir()] == ["arm"]
 
 
-def test_a_folder_with_anything_else_in_it_is_left_alone(history: History, tmp_path: Path) -> None:
+def test_a_folder_with_anything_else_in_it_is_left_alone(built: Callable[..., Bundle], tmp_path: Path) -> None:
     foreign = tmp_path / "thesis"
     foreign.mkdir()
     (foreign / "chapter.tex").write_text("years of work")
     with pytest.raises(ExportError, match="holds other files"):
-        write_bundle(build_bundle(history, "best", FAST), foreign)
-    earlier = write_bundle(build_bundle(history, "best", FAST), tmp_path / "arm")
+        write_bundle(built("best"), foreign)
+    earlier = write_bundle(built("best"), tmp_path / "arm")
     (earlier / "notes.txt").write_text("mine")
     with pytest.raises(ExportError, match=r"notes\.txt"):
-        write_bundle(build_bundle(history, "1", FAST), earlier)
+        write_bundle(built("1"), earlier)
     assert (foreign / "chapter.tex").read_text() == "years of work"
     assert json.loads((earlier / "design.json").read_text())["iteration"] == 2
 
 
-def test_a_file_where_the_folder_should_be_is_left_alone(history: History, tmp_path: Path) -> None:
+def test_a_file_where_the_folder_should_be_is_left_alone(built: Callable[..., Bundle], tmp_path: Path) -> None:
     (tmp_path / "arm").write_text("mine")
     with pytest.raises(ExportError, match="is no folder"):
-        write_bundle(build_bundle(history, "best", FAST), tmp_path / "arm")
+        write_bundle(built("best"), tmp_path / "arm")
     with pytest.raises(ExportError, match="can't write"):
-        write_bundle(build_bundle(history, "best", FAST), tmp_path / "arm" / "b.zip")
+        write_bundle(built("best"), tmp_path / "arm" / "b.zip")
     assert (tmp_path / "arm").read_text() == "mine"
+
+
+@pytest.mark.parametrize("out", ["", ".", "/", "..", "sub/..", "photos.zip", "pipe.zip", "notes.zip"])
+def test_what_is_no_export_is_never_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str) -> None:
+    place = tmp_path / "here"
+    (place / "sub").mkdir(parents=True)
+    monkeypatch.chdir(place)
+    (place / "photos.zip").write_bytes(zipped({"a.jpg": b"years of photos"}))
+    (place / "notes.zip").write_text("no zip at all")
+    os.mkfifo(place / "pipe.zip")
+    before = {path: path.lstat().st_ino for path in tmp_path.rglob("*")}
+    for write in (check_place, lambda path: write_bundle(Bundle("arm.zip", {}, [], b""), path)):
+        with pytest.raises(ExportError, match=r"no name of its own|no earlier export"):
+            write(Path(out))
+    assert {path: path.lstat().st_ino for path in tmp_path.rglob("*")} == before
+    with pytest.raises(IsADirectoryError):
+        durable.write_file(Path(), b"")
 
 
 @pytest.mark.parametrize("name", ["arm.zip", "arm"])
 def test_a_full_disk_leaves_the_earlier_export_and_no_debris(
-    history: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    built: Callable[..., Bundle], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    out = write_bundle(build_bundle(history, "1", FAST), tmp_path / name)
+    out = write_bundle(built("1"), tmp_path / name)
     before = out.read_bytes() if out.is_file() else (out / "design.json").read_bytes()
 
     def full(_: int) -> None:
@@ -248,15 +289,15 @@ def test_a_full_disk_leaves_the_earlier_export_and_no_debris(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(ExportError, match="No space left"):
-        write_bundle(build_bundle(history, "best", FAST), out)
+        write_bundle(built("best"), out)
     assert (out.read_bytes() if out.is_file() else (out / "design.json").read_bytes()) == before
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([name, "runs"])
+    assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
 def test_a_replacement_that_fails_half_way_puts_the_earlier_export_back(
-    history: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    built: Callable[..., Bundle], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = write_bundle(build_bundle(history, "1", FAST), tmp_path / "arm")
+    out = write_bundle(built("1"), tmp_path / "arm")
     rename = Path.rename
 
     def failing(self: Path, target: Path) -> Path:
@@ -266,5 +307,5 @@ def test_a_replacement_that_fails_half_way_puts_the_earlier_export_back(
 
     monkeypatch.setattr(Path, "rename", failing)
     with pytest.raises(ExportError, match="Input/output error"):
-        write_bundle(build_bundle(history, "best", FAST), out)
+        write_bundle(built("best"), out)
     assert json.loads((out / "design.json").read_text())["iteration"] == 1

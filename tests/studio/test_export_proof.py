@@ -5,6 +5,7 @@ import importlib.util
 import io
 import itertools
 import json
+import multiprocessing
 import os
 import re
 import subprocess
@@ -26,9 +27,10 @@ from safetensors.numpy import save_file
 from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
 from morph_core.task import Task
+from studio.export import trial
 from studio.export.archive import unzipped, zipped
 from studio.export.bundle import EPISODES, FORMATS, Bundle, build_bundle, parts_of_design, robot_files
-from studio.export.design_file import Design, PartEntry, phi_for, read_design, starting_from
+from studio.export.design_file import Design, PartEntry, load_design, phi_for, read_design, starting_from
 from studio.export.errors import ExportError
 from studio.export.meshes import Body, Shape, three_mf
 from studio.export.plates import plan_prints, print_files
@@ -43,6 +45,7 @@ from studio.robots.chooser import robot_of
 from studio.robots.parts import Part
 from studio.robots.stl import stl
 from tests.counts import DESIGNS
+from tests.forked import morph_studio
 
 NAME = "<b>run \N{SNOWMAN} .." + "x" * 120
 
@@ -290,11 +293,15 @@ def test_a_bundle_says_which_servo_can_do_what_the_policy_needs(bundle: Bundle) 
     assert f"Servos:  {table.servo} suffices for " in bundle.files["README.txt"].decode()
 
 
-def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for(
+def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for_by_whatever_process_runs_the_episodes(
     history: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("studio.export.bundle.EPISODES", 3)
     weak = build_bundle(history, "best", ["mjcf"], servo="mg90s")
+    monkeypatch.setattr("studio.export.trial.APART", 3)
+    apart = build_bundle(history, "best", ["mjcf"], servo="mg90s")
+    assert {path for path in weak.files if apart.files[path] != weak.files[path]} <= {"provenance.json"}  # its date
+    assert apart.checks == weak.checks
     table = servos_of(weak)
     assert (table.servo, table.episodes, table.suffices) == ("MG90S", 3, False)
     assert "does not suffice: peak torque" in weak.files["report.html"].decode()
@@ -302,6 +309,14 @@ def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for(
         build_bundle(history, "best", ["urdf"], servo="MG90S")
     with pytest.raises(ExportError, match="did you mean MG90S"):
         build_bundle(history, "best", ["mjcf"], servo="MG90")
+
+
+def test_a_process_that_dies_over_the_episodes_is_a_failed_check() -> None:
+    end, other = multiprocessing.Pipe(duplex=False)
+    other.close()
+    [check] = trial.awaited(end).checks
+    assert not check.passed
+    assert "its process ended without a word" in str(check)
 
 
 def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundle) -> None:
@@ -422,6 +437,27 @@ def moved_item(by: str) -> Callable[[bytes], bytes]:
     return move
 
 
+def stretched(content: bytes) -> bytes:
+    """Break a 3MF: all of its items are a tenth wider than they should be."""
+    files = unzipped(content)
+    text = files["3D/3dmodel.model"].decode()
+
+    def wider(match: re.Match[str]) -> str:
+        turn = [1.1 * float(number) for number in match[1].split()]
+        return f'transform="{" ".join(map(repr, turn))} {match[2]}"'
+
+    text = re.sub(r'transform="((?:\S+ ){9})([^"]+)"', wider, text)
+    return zipped(files | {"3D/3dmodel.model": text.encode()})
+
+
+def with_another_corner(content: bytes) -> bytes:
+    """Break a 3MF: the first corner of its first body is a hundredth of a millimetre higher."""
+    files = unzipped(content)
+    text = files["3D/3dmodel.model"].decode()
+    text = re.sub(r' z="([^"]+)"', lambda match: f' z="{float(match[1]) + 0.01}"', text, count=1)
+    return zipped(files | {"3D/3dmodel.model": text.encode()})
+
+
 BREAKS = {
     "one of each": [
         ("plates/plate_1.3mf", moved_item("-20 90 20"), "plates/plate_1.3mf: inside the printer"),
@@ -442,8 +478,12 @@ BREAKS = {
         ("3mf/palm.3mf", with_a_second_object, "3mf/palm.3mf: quantity"),
         ("parts/finger_1_distal.stl", doubled, "one body"),
         ("hand.xml", replaced('size="0.015 ', 'size="0.016 '), "hand.xml in MuJoCo: collision extents"),
-        ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.016"'), "MuJoCo: collision extents"),
+        ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.0149"'), "MuJoCo: collision extents"),
         ("policy.py", lambda content: content + b"#", "policy.py: the program"),
+    ],
+    "a third of some": [
+        ("plates/plate_1.3mf", with_another_corner, "plates/plate_1.3mf: bodies as in their own files"),
+        ("3mf/palm.3mf", stretched, "3mf/palm.3mf: turned and moved alone"),
     ],
     "a plate with too little": [
         ("plates/plate_1.3mf", without_a_copy, "plates: each piece as often as needed"),
@@ -480,8 +520,7 @@ def test_verify_prints_a_table_and_fails_for_a_part_broken_on_purpose(bundle: Bu
     bad.write_bytes(zipped({**bundle.files, "parts/palm.stl": holed(bundle.files["parts/palm.stl"])}))
     shown = {}
     for path, code in ((good, 0), (bad, 1), (tmp_path / "none.zip", 2)):
-        command = [sys.executable, "-m", "studio.cli", "verify", str(path), "--episodes", "2"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, env={"COLUMNS": "140", "PATH": ""})
+        done = morph_studio("verify", str(path), "--episodes", "2", environment={"COLUMNS": "140", "PATH": ""})
         assert done.returncode == code, done.stdout + done.stderr
         shown[code] = done.stdout
     assert "checks agree" in shown[0]
@@ -515,10 +554,16 @@ def test_an_archive_that_would_unpack_to_too_much_is_refused() -> None:
 # --- import ---
 
 
-def test_a_design_comes_back_from_its_bundle_whatever_the_order(bundle: Bundle) -> None:
+def test_a_design_comes_back_from_its_bundle_whatever_the_order(
+    bundle: Bundle, monkeypatch: pytest.MonkeyPatch
+) -> None:
     task = make_task("pen_press")
     design = read_design(bundle.content)
     assert design == read_design(bundle.files["design.json"])
+    assert design == read_design(b"\xef\xbb\xbf" + bundle.files["design.json"]), "as an editor has stored it"
+    monkeypatch.setattr("studio.export.design_file.MAX_BYTES", 1000)
+    with pytest.raises(ExportError, match="too large to be a design"):
+        load_design(Path("/dev/zero"))
     shuffled = msgspec.structs.replace(design, parameters=design.parameters[::-1])
     phi = phi_for(shuffled, "pen_press", task.design_space)
     np.testing.assert_array_equal(phi, design.phi)

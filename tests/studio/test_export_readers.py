@@ -248,10 +248,14 @@ def test_servos_get_their_name_and_other_actuators_keep_their_form() -> None:
     body = spec.worldbody.add_body(name="arm")
     body.add_joint(name="arm")
     body.add_geom(name="arm", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0])
-    for kind in ("servo", "motor", "damper"):
+    for kind in ("servo", "motor", "damper", "velocity", "cylinder"):
         actuator = spec.add_actuator(name=kind, target="arm", trntype=mujoco.mjtTrn.mjTRN_JOINT)
         if kind == "servo":
             actuator.set_to_position(kp=1 / 3, kv=0.1)
+        if kind == "velocity":
+            actuator.set_to_velocity(kv=0.2)
+        if kind == "cylinder":
+            actuator.set_to_cylinder(timeconst=0.1, bias=0.2, area=0.3)
         if kind == "damper":
             actuator.biastype, actuator.biasprm[2] = mujoco.mjtBias.mjBIAS_AFFINE, -0.3
     model = spec.compile()
@@ -270,6 +274,8 @@ def test_servos_get_their_name_and_other_actuators_keep_their_form() -> None:
         ("<worldbody>", '<worldbody><cloth name="c"/>', "body/cloth"),
         ("<worldbody>", '<worldbody wind="1">', "mujoco/worldbody wind"),
         ('type="sphere"', 'type="sphere" shade="1"', "body/geom shade"),
+        ("<body>", '<body><joint damping="1 2"/>', "body/joint damping=1 2"),
+        ("<worldbody>", '<asset><mesh inertia="shell"/></asset><worldbody>', "asset/mesh inertia=shell"),
     ],
 )
 def test_a_new_word_names_the_version_that_wrote_it(before: str, after: str, word: str) -> None:

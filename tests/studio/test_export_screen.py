@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import time
 import zipfile
 import zlib
@@ -27,12 +28,15 @@ from studio.export.check import Check
 from studio.export.design_file import Design, Value, read_design
 from studio.export.errors import ExportError
 from studio.export.proof import _prove_scene, prove
+from studio.export.readings import read_mjcf, read_urdf
 from studio.export.screen import screen
+from studio.export.verify import POSITION_ALLOWED, compare
 from studio.robots.chooser import robot_of
 
 TASK = make_task("reacher")
 ROBOT = robot_of(TASK).file_name
 XML = f"{ROBOT}.xml"
+PACKAGE = "ros/reacher_description"
 
 
 def design_json(robot: str = ROBOT) -> bytes:
@@ -52,7 +56,7 @@ def bundle() -> dict[str, bytes]:
     phi = np.array([p.initial for p in TASK.design_space.parameters])
     program = robot_of(TASK).program(phi)
     assert program is not None
-    files = robot_files(TASK, phi, [], ("mjcf", "urdf"))
+    files = robot_files(TASK, phi, [], ("mjcf", "urdf", "ros", "ros2_control"))
     return files | {"design.json": design_json(), **program.sources}
 
 
@@ -97,6 +101,37 @@ def test_a_scene_in_which_something_that_moves_or_touches_differs_is_told(
     phi = np.array([p.initial for p in TASK.design_space.parameters])
     with contextlib.suppress(ValueError):  # MuJoCo's: it can't be built
         assert not _prove_scene({**bundle, "scene.xml": ElementTree.tostring(root)}, TASK, phi).passed
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_a_shape_that_differs_is_told_where_others_of_its_link_hide_it(
+    bundle: dict[str, bytes], data: st.DataObject
+) -> None:
+    root = ElementTree.fromstring(bundle[f"{ROBOT}.urdf"])
+    shapes = list(root.iter("collision"))
+    assert _farthest_shape(bundle, root) < 1e-9
+    shape = data.draw(st.sampled_from(shapes))
+    size = shape.find("geometry/*")
+    origin = shape.find("origin")
+    assert size is not None
+    assert origin is not None
+    numbers = [(size, name, 0) for name in size.attrib] + [(origin, "xyz", i) for i in range(3)]
+    if size.tag != "sphere":
+        numbers += [(origin, "rpy", i) for i in range(2)]  # a cylinder that is turned about itself is the same
+    element, name, i = data.draw(st.sampled_from(numbers))
+    words = element.attrib[name].split()
+    words[i] = repr(float(words[i]) * data.draw(st.floats(0.1, 0.9)) + 0.001)
+    element.attrib[name] = " ".join(words)
+    assert _farthest_shape(bundle, root) > POSITION_ALLOWED
+
+
+def _farthest_shape(bundle: Mapping[str, bytes], root: ElementTree.Element) -> float:
+    """Return how far (m) the collision shapes of a URDF are from those of the bundle's MJCF."""
+    reference = read_mjcf(mujoco.MjModel.from_xml_string(bundle[XML].decode()))
+    reading = read_urdf(mujoco.MjModel.from_xml_string(ElementTree.tostring(root, "unicode")))
+    (check,) = (c for c in compare("it", reference, reading) if "collision extents" in c.name)
+    return check.worst
 
 
 @pytest.mark.parametrize(
@@ -171,7 +206,7 @@ def test_no_reader_sees_what_asks_for_more_than_a_bundle_needs(
 
     if "bomb" in ask:
         monkeypatch.setattr("studio.export.screen.MAX_BYTES", 8 << 20)
-    for reader in ("verify", "compare_physics", "_prove_physics"):
+    for reader in ("verify_folder", "compare_physics", "_prove_physics"):
         monkeypatch.setattr(f"studio.export.proof.{reader}", never)
     found = faults(bundle | {path: changed})
     assert found
@@ -192,6 +227,41 @@ DIFFERS = {
             "</robot>",
         ),
         "nothing added",
+    ),
+    "another servo in the archive": (
+        f"{ROBOT}.mjz",
+        lambda content: zipped(
+            (files := unzipped(content)) | {"model.xml": files["model.xml"].replace(b'kp="', b'kp="9', 1)}
+        ),
+        f"{ROBOT}.mjz: holds",
+    ),
+    "another launch file": (f"{PACKAGE}/launch/display.launch.py", lambda c: c + b"1\n", "this version writes"),
+    "a launch file more": (f"{PACKAGE}/launch/x.launch.py", lambda _: b"1\n", "this version writes"),
+    "another build": (f"{PACKAGE}/CMakeLists.txt", lambda c: c + b"include(x)\n", "this version writes"),
+    "another speed in the package": (
+        f"{PACKAGE}/urdf/{ROBOT}.urdf",
+        lambda content: content.replace(b'velocity="', b'velocity="9', 1),
+        f"{ROBOT}.urdf: speeds",
+    ),
+    "another limit of a servo": (
+        f"{ROBOT}.urdf",
+        lambda content: content.replace(b"<mechanicalReduction>1<", b"<mechanicalReduction>9<", 1),
+        "transmissions and interfaces",
+    ),
+    "a joint that follows another": (
+        f"{ROBOT}.urdf",
+        inserted('<mimic joint="joint_1"/>', "</joint>"),
+        "which no export has",
+    ),
+    "a driver that is loaded": (
+        f"{ROBOT}.urdf",
+        lambda content: content.replace(b"mock_components/", b"evil_components/", 1),
+        "transmissions and interfaces",
+    ),
+    "a servo too few": (
+        f"{PACKAGE}/urdf/{ROBOT}.urdf",
+        lambda content: re.sub(rb"<transmission .*?</transmission>", b"", content, count=1, flags=re.DOTALL),
+        "transmissions and interfaces",
     ),
     "another program": ("run_policy.py", lambda content: content + b"\nimport os\n", "run_policy.py"),
     "a file more": ("run.sh", lambda _: b"#!/bin/sh\n", "belongs to an export"),

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import imageio_ffmpeg
+import msgspec
 import numpy as np
 import pytest
 from conftest import append, make_hand_run, make_run, progress
@@ -102,6 +103,27 @@ def test_between_two_iterations_the_body_is_between_theirs(reached: RunFolder) -
     story = Story(plan_evolution([History(reached)], SMALL, 5).sides[0])
     assert story.between(3.5) == pytest.approx([2.65] * 5)
     assert story.between(99) == pytest.approx([2.5] * 5)
+
+
+def test_a_film_shows_a_run_as_far_as_it_had_come(reached: RunFolder) -> None:
+    side = plan_evolution([History(reached)], SMALL, 5).sides[0]
+    before = Story(dataclasses.replace(side, until=2))
+    assert (before.iterations, before.evaluations) == ([0, 1, 2], [])
+
+
+def test_an_episode_is_played_from_its_first_posture_to_its_last(script: Script) -> None:
+    moments = [script.at(frame) for frame in range(script.frames)]
+    seen = [script.picture(0, moment) for moment in moments if moment.act in ("episode", "closing")]
+    postures = [instant for _, instant in seen]
+    assert postures == sorted(postures)
+    assert (postures[0], postures[-1]) == (0, seen[0][0].frames - 1)
+    assert 0 < postures[1] < postures[-1]
+
+
+def test_an_evolution_ends_with_an_episode_of_its_best_design(tmp_path: Path) -> None:
+    history = History(make_run(tmp_path))
+    history.evaluations.append(msgspec.structs.replace(history.evaluations[-1], iteration=5, sampled_success=0.1))
+    assert plan_evolution([history], SMALL, 5).sides[0].iteration == 3
 
 
 def test_a_film_that_would_be_too_long_says_the_limit(reached: RunFolder) -> None:
@@ -240,9 +262,13 @@ def test_two_runs_stand_side_by_side_and_the_shorter_one_waits(reached: RunFolde
 # --- rendered, interrupted, resumed -----------------------------------------------------------------------------------
 
 
+ODD_MP4 = "http:%d 'ü .mp4"
+"""A name that ffmpeg would take for an address and a number of a picture."""
+
+
 def test_an_interrupted_film_goes_on_and_has_the_same_bytes(reached: RunFolder, ready: bytes, tmp_path: Path) -> None:
     film = plan_evolution([History(reached)], SMALL, 5, 2.0)
-    out = tmp_path / "film.mp4"
+    out = tmp_path / ODD_MP4
     drawn = 0
 
     def interrupt(frames: int) -> None:
@@ -254,7 +280,7 @@ def test_an_interrupted_film_goes_on_and_has_the_same_bytes(reached: RunFolder, 
     with pytest.raises(KeyboardInterrupt):
         Reel.of(film, out).render(1, interrupt)
     assert not out.exists()
-    assert sorted(path.name for path in (tmp_path / "film.mp4.parts").iterdir()) == ["000000.mp4", "film.json"]
+    assert sorted(path.name for path in (tmp_path / f"{ODD_MP4}.parts").iterdir()) == ["000000.mp4", "film.json"]
     told: list[int] = []
     resumed = Reel.of(film, out)
     resumed.render(1, told.append)
@@ -262,7 +288,7 @@ def test_an_interrupted_film_goes_on_and_has_the_same_bytes(reached: RunFolder, 
     assert sum(told) == resumed.frames == Script(film).frames
     resumed.join()
     assert out.read_bytes() == ready
-    assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+    assert [path.name for path in tmp_path.iterdir()] == [ODD_MP4]
     assert imageio_ffmpeg.count_frames_and_secs(str(out)) == (resumed.frames, pytest.approx(resumed.frames / 5))
     assert next(imageio_ffmpeg.read_frames(str(out)))["size"] == SMALL
 
@@ -275,11 +301,16 @@ def test_parts_of_another_film_are_not_taken(reached: RunFolder, tmp_path: Path)
     assert first.parts()[0] not in Reel.of(first.film, out).missing()
     other = Reel.of(dataclasses.replace(first.film, fps=10), out)
     assert other.missing() == other.parts()
+    script = Script(first.film)
+    before = reel_module._digest(script)
+    assert before == reel_module._digest(Script(first.film))
+    script.stories[0].phis[1] += 0.1
+    assert reel_module._digest(script) != before, "the run was trained anew"
     assert (first.folder / "notes.odt").exists()
 
 
 def test_a_gif_lasts_as_long_as_its_film(reached: RunFolder, tmp_path: Path) -> None:
-    out = tmp_path / "film.gif"
+    out = tmp_path / "pipe:%03d 'ü.gif"
     made = Reel.of(plan_episode([(History(reached), "best")], None, SMALL, 5), out)
     made.render(1, lambda _: None)
     made.join()

@@ -17,6 +17,7 @@ from morph_core.protocol import Evaluation, Heartbeat, StateChanged
 from morph_core.run_folder import HeartbeatFile, RunFolder
 from studio.index import FILE
 from studio.lines import Row
+from studio.listing import LONGEST_REASON
 from studio.runs import Runs
 from studio.shelf.marks import MarksChange
 
@@ -105,6 +106,20 @@ def test_marks_and_new_and_removed_runs_are_seen_at_once(three: Path) -> None:
     make_run(three, "d")
     (three / "b").rename(three.parent / "b")
     assert [(row.id, row.marks.name) for row in rows(three)] == [("d", ""), ("c", ""), ("a", "the best")]
+
+
+def test_a_run_that_goes_while_it_is_listed_is_left_out_and_a_long_reason_is_cut(
+    three: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = Runs(three)
+    monkeypatch.setattr(runs._listing, "ids", lambda: ["a", "gone", "b"])
+    assert [row.id for row in runs.rows()] == ["a", "b"]
+
+    def fail(*_: object) -> None:
+        raise ValueError("x" * 9999)
+
+    monkeypatch.setattr(runs._listing, "_line", fail)
+    assert [(line.id, len(line.reason)) for line in runs.summaries()] == [("a", LONGEST_REASON), ("b", LONGEST_REASON)]
 
 
 def lost(folder: Path, name: str) -> HeartbeatFile:

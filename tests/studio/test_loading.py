@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of an exported hand with a policy."""
     history = History(make_hand_run(tmp_path_factory.mktemp("runs"), "pen_press"))
     add_policy(history, make_task("pen_press"), 0)
-    folder = tmp_path_factory.mktemp("bundle")
+    folder = tmp_path_factory.mktemp("our bundle")
     unpack(build_bundle(history, "best", ["mjcf", "urdf", "ros", "stl"]).files, folder)
     return folder
 

@@ -1,6 +1,7 @@
 """What a notebook shows of runs, designs and studies, and that nothing written in a run folder becomes HTML there."""
 
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -245,13 +246,22 @@ def test_an_interrupt_stops_a_training_after_its_iteration(tmp_path: Path, monke
     assert (run.history.record.iterations, run.history.record.seed) == (7, 3)
 
 
-def interrupting(sleep: Callable[[float], None]) -> Callable[[float], None]:
-    """Return a `sleep` that is interrupted the first time, as a user does."""
+def test_a_second_interrupt_ends_a_training_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asleep = subprocess.Popen(["sleep", "60"])
+    monkeypatch.setattr(notebook, "spawn_trainer", lambda _: asleep)
+    monkeypatch.setattr(notebook, "time", SimpleNamespace(sleep=interrupting(time.sleep, times=2)))
+    with pytest.raises(RuntimeError):
+        train("reacher", runs=tmp_path)
+    assert asleep.returncode == -signal.SIGKILL
+
+
+def interrupting(sleep: Callable[[float], None], times: int = 1) -> Callable[[float], None]:
+    """Return a `sleep` that is interrupted the first times, as a user does."""
     naps = []
 
     def nap(seconds: float) -> None:
         naps.append(seconds)
-        if len(naps) == 1:
+        if len(naps) <= times:
             raise KeyboardInterrupt
         sleep(seconds)
 

@@ -1,5 +1,6 @@
 """What the command line writes can be shown anywhere, and no file makes a terminal obey."""
 
+import itertools
 import json
 import os
 import re
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 
 from morph_core.protocol import StateChanged
 from morph_core.run_folder import EventLog
-from studio.cli import COMMANDS, run
+from studio.cli import COMMANDS, main, run
 from studio.cli.arguments import UsageError
 from studio.cli.output import visible
 from studio.cli.terminal import make_console
@@ -148,6 +149,39 @@ def test_output_never_dies_of_an_encoding(tmp_path: Path, encoding: str, words: 
         assert r"gr\xf6\xdfte" in done.stdout.decode(encoding)
 
 
+@pytest.mark.parametrize("words", ["runs", "runs --json", "--help", "--version", "train --help", "log none"])
+@pytest.mark.parametrize(
+    ("where", "buffering"), [("closed", -1), *itertools.product(("a full disk", "a reader who is gone"), (-1, 1))]
+)
+def test_a_command_bears_any_place_for_its_output(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    words: str,
+    where: str,
+    buffering: int,
+) -> None:
+    make_run(tmp_path / "runs", "good")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["morph-studio", *words.split()])
+    reading, writing = os.pipe()
+    os.close(reading)
+    if where == "a full disk":
+        os.dup2(os.open("/dev/full", os.O_WRONLY), writing)
+    monkeypatch.setattr("sys.stdout", None if where == "closed" else os.fdopen(writing, "w", buffering))
+    with pytest.raises(SystemExit) as end:
+        main()
+    said = capfd.readouterr().err
+    assert "Traceback" not in said
+    if words == "log none":
+        assert end.value.code == 2
+    elif where == "a full disk":
+        assert end.value.code == 1
+        assert "No space left on device" in said
+    else:
+        assert (end.value.code, said) == (0, "")
+
+
 def test_the_version_names_what_a_report_of_a_fault_needs(capsys: pytest.CaptureFixture[str]) -> None:
     for words in (["--version"], ["-V"]):
         assert run(words) == 0
@@ -198,8 +232,8 @@ def test_a_run_may_be_named_by_a_path_in_the_home(
     monkeypatch.setenv("HOME", str(tmp_path))
     make_run(tmp_path / "x", "good")
     assert run(["log", "~/x/good"]) == 0
-    assert run(["log", "~nobody-of-this-name/x/good"]) == 2
-    assert "no run.json" in capsys.readouterr().err
+    assert run(["log", "~nobody-of-this-name/x/good"]) == 1
+    assert "there is no such home" in capsys.readouterr().err
 
 
 def flags_of(words: str, capsys: pytest.CaptureFixture[str]) -> list[str]:

@@ -176,7 +176,7 @@ def test_contact_forces_are_arrows_on_request(page: Page, hand: RunFolder) -> No
     assert eventually(lambda: playback.forces.visible)
     assert page.take().forces is None
     playback.forces.value = True
-    page.viewer._refresh()
+    page.viewer.refresh()
     take = page.take(lambda t: t.forces is not None)
     assert take.forces is not None
     page.viewer.player.seek(0.5)

@@ -146,7 +146,7 @@ def test_continue_from_this_design_injects_it(page: Page, episode: RunFolder) ->
     page.viewer.timeline._jump("first")
     page.show(episode, "running")
     assert page.viewer.timeline.inject.visible
-    page.viewer._inject(page.viewer.timeline._chosen_phi, None)
+    page.viewer.wishes.inject(page.viewer.timeline._chosen_phi, None)
     assert page.commands == [(NAME, InjectDesign([2.7] * 5))]
 
 

@@ -51,6 +51,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
 
 def test_there_is_one_of_each_task_and_all_are_small_and_in_the_wheel() -> None:
     assert SHIPPED.names() == [f"recorded-{task}" for task in TASKS]
+    assert SHIPPED.of("a_task_of_ones_own") is None
     files = [path for path in RECORDED.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) <= LARGEST
     shipped = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["studio"]
@@ -169,6 +170,14 @@ def test_a_damaged_one_is_refused_by_one_sentence(tmp_path: Path, damage: str, h
         Recordings(tmp_path).of("mouse_click")
 
 
+def test_one_that_nothing_was_measured_of_is_refused(tmp_path: Path) -> None:
+    folder = shutil.copytree(RECORDED / "recorded-mouse_click", tmp_path / "recorded-mouse_click")
+    about = json.loads((folder / ABOUT).read_bytes())
+    (folder / ABOUT).write_text(json.dumps(about | {"episodes": 0}))
+    with pytest.raises(RunFolderError, match="is empty; install morph-studio anew"):
+        Recordings(tmp_path).of("mouse_click")
+
+
 # --- its film ---
 
 
@@ -233,7 +242,7 @@ def caption(page: Page) -> dict[str, object]:
 @pytest.fixture
 def visit(page: Page) -> Page:
     """A page to which all recorded runs are known, and which has not been told of any other."""
-    page.viewer._recordings = SHIPPED
+    page.viewer.beginning.recordings = SHIPPED
     return page
 
 
@@ -242,7 +251,7 @@ def test_the_start_page_plays_the_recorded_run_of_the_chosen_task_where_there_is
     viewer.show({}, {})
     assert eventually(lambda: caption(visit))
     assert str(caption(visit)["label"]).startswith("recorded: ")
-    assert str(caption(visit)["label"]).endswith(" shown in 20 s")
+    assert str(caption(visit)["label"]).endswith(", shown in 20 s")
     assert viewer.stage.projector.history is recording(viewer.start.task.value).history
     for task in TASKS:
         viewer.start.task.value = task
@@ -264,10 +273,10 @@ def test_where_there_are_runs_it_is_offered_and_not_played(visit: Page, tmp_path
     assert viewer.stage.projector.history is None
     assert viewer.recorded.folder.visible
     assert viewer.recorded.play.visible
-    viewer._want_film(True)
+    viewer.beginning.want_film(True)
     assert viewer.stage.projector.history is not None
     assert viewer.recorded.live.visible
-    viewer._want_film(False)
+    viewer.beginning.want_film(False)
     assert viewer.stage.projector.history is None
     assert visit.take(lambda take: take.shot == viewer.start.preview)
 
@@ -277,7 +286,7 @@ def test_a_damaged_one_leaves_the_start_page_as_it_was_with_a_sentence(visit: Pa
     shutil.copytree(RECORDED, folder)
     for path in folder.glob("*/run.json"):
         path.write_text("{}")
-    visit.viewer._recordings = Recordings(folder)
+    visit.viewer.beginning.recordings = Recordings(folder)
     visit.viewer.show({}, {})
     assert "install morph-studio anew" in visit.viewer.recorded.about.content
     assert not visit.viewer.recorded.play.visible
@@ -295,7 +304,7 @@ def test_an_opened_one_is_labelled_and_starts_live_by_one_press(visit: Page) -> 
     assert visit.viewer.presented[0].doing.startswith(recording("pen_press").label)
     assert visit.viewer.recorded.live.visible
     assert not visit.viewer.run.branch.visible
-    visit.viewer._train_live(None)
+    visit.viewer.beginning.train_live(None)
     (wish,) = visit.started
     assert (wish.task, wish.method, wish.seed, wish.env_steps) == ("pen_press", "morph", 310, 500_000)
 
@@ -318,7 +327,7 @@ def test_presenters_mode_plays_the_film_of_a_run_and_trains_live_by_a_key(visit:
     assert viewer.view.presents
     assert viewer.stage.projector.history is history
     assert eventually(lambda: caption(visit).get("presents"))
-    assert caption(visit)["label"] == f"{NAME}: finished shown in 20 s"
+    assert caption(visit)["label"] == f"{NAME}: finished, shown in 20 s"
     assert caption(visit)["enter"]
     deeds["enter"](None)
     assert [wish.task for wish in visit.started] == ["reacher"]

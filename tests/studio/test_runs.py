@@ -280,9 +280,9 @@ def test_hundreds_of_runs_are_listed_quickly_and_not_kept(runs_folder: Path) -> 
         runs.get(name)
     assert len(runs._histories) <= KEPT
     runs.summaries()
-    begin = time.monotonic()
+    begin = time.process_time()
     assert len(runs.summaries()) == 60
-    assert time.monotonic() - begin < 0.5
+    assert time.process_time() - begin < 0.5
 
 
 @pytest.mark.parametrize(

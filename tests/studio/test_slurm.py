@@ -544,7 +544,7 @@ def test_a_server_for_a_cluster_keeps_no_trainer_in_reserve(
     monkeypatch.setattr(Reserve, "load", lambda _: loaded.append(True))
     for launcher, expected in ((Slurm(), []), (None, [True])):
         app = create_app(
-            settings, launcher=launcher, desks=lambda server, runs, what_ifs, _: Blackboard(server, runs, what_ifs)
+            settings, launcher=launcher, desks=lambda server, runs, what_ifs, *_: Blackboard(server, runs, what_ifs)
         )
         anyio.run(up_and_down, app)
         assert loaded == expected

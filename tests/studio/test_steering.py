@@ -5,10 +5,12 @@ import platform
 import time
 from pathlib import Path
 
+import msgspec
 import psutil
 import pytest
 from conftest import NAME, Page, append, make_run, progress
 
+from morph_core.history import History
 from morph_core.protocol import (
     Acknowledged,
     DesignSpaceChanged,
@@ -27,6 +29,7 @@ from morph_core.protocol import (
 )
 from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder
 from studio.new_run import StartRun, prepare_run
+from studio.viewer.pending import Pending
 
 
 @pytest.fixture
@@ -167,7 +170,7 @@ def test_a_lock_is_shown_and_undone(page: Page, folder: RunFolder) -> None:
     row = page.viewer.design.rows["link_3"]
     assert row.locked.value
     assert row.value.value == 1.5
-    assert "locked" in str(row.folder.label)
+    assert "locked" in str(page.viewer.design.groups[2].folder.label)
     row.locked.value = False
     _submit_design(page)
     assert page.commands == [(NAME, Unlock("link_3"))]
@@ -206,7 +209,7 @@ def test_what_somebody_edits_survives_the_next_update(page: Page, folder: RunFol
     append(folder, progress(4))
     page.show(folder, "running")
     assert page.viewer.design.rows["link_2"].bounds.value == (0.5, 3.0)
-    assert str(page.viewer.design.rows["link_2"].folder.label).startswith("link_2: 2.000 m")
+    assert str(page.viewer.design.groups[1].folder.label).startswith("link_2: 2.000 m")
 
 
 def test_a_refused_command_is_told_and_changes_nothing(page: Page, folder: RunFolder) -> None:
@@ -232,6 +235,19 @@ def test_each_command_is_acknowledged_with_its_iteration(page: Page, folder: Run
     assert "bound of link_2 set to [0.5, 3] m, in force from iteration 43" in log
     assert "refused: unknown &lt;b&gt;link_9" in log
     assert "asked" not in log
+
+
+def test_each_answer_is_that_to_one_command_before_it(folder: RunFolder) -> None:
+    answers = [Acknowledged(id=i, iteration=3, accepted=True, command=Pause()) for i in (1, 2)]
+    pending = Pending()
+    for answered in (1, 1, 2):  # another browser's was answered before, and the last one is asked later
+        pending.add(folder.id, Pause(), answered)
+    append(folder, *answers)
+    pending.settle({folder.id: History(folder)})
+    assert pending.of(folder.id) == [Pause(), Pause()]
+    append(folder, msgspec.structs.replace(answers[0], id=3))
+    pending.settle({folder.id: History(folder)})
+    assert pending.of(folder.id) == [Pause()]
 
 
 def _submit_design(page: Page) -> None:

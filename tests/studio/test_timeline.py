@@ -30,7 +30,7 @@ from studio.shelf.marks import MOST_STARS, Marks, with_star
 from studio.viewer.charts import decimate, marked
 from studio.viewer.evolution import Evolution
 from studio.viewer.figure import Figure
-from studio.viewer.gallery import MOST_OTHERS, pieces_of
+from studio.viewer.gallery import MOST_OTHERS, MOST_STARRED, pieces_of
 from studio.viewer.looks import AGREEMENT, CHANGE
 from studio.viewer.strip import key_of, pointer, strip
 from studio.viewer.take import Shot, make_take
@@ -459,6 +459,7 @@ def test_a_gallery_has_the_starred_designs_first_and_a_few_over_all_iterations(f
     assert max(np.diff(others)) < 20
     said = {piece.iteration: piece.words for piece in pieces}
     assert (said[40], said[0]) == ("100 % success, best", "initial")
+    assert sum(piece.starred for piece in pieces_of(History(folder), range(1, 101))) == MOST_STARRED
 
 
 def test_a_gallery_is_drawn_when_asked_for_and_a_click_turns_to_a_design(page: Page, folder: RunFolder) -> None:

@@ -199,7 +199,7 @@ def test_what_the_studio_suggests_is_opened_once_and_a_choice_then_stays(page: P
 
 def test_an_unknown_run_is_said_to_be_unknown(page: Page, folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     page.show(folder)
-    monkeypatch.setattr("studio.viewer.viewer._START_PATIENCE", -1.0)
+    monkeypatch.setattr("studio.viewer.choice._START_PATIENCE", -1.0)
     page.viewer.open("../../<etc>")
     assert "../../&lt;etc&gt; has not shown up" in page.viewer.run.failure.content
     assert not page.viewer.run.pause.visible
@@ -267,11 +267,11 @@ def test_what_was_compared_is_shown_and_a_change_of_mind_takes_it_away(page: Pag
 def test_a_design_that_is_brought_along_is_injected(page: Page, folder: RunFolder) -> None:
     history = page.show(folder)
     design = design_of(history, [1.0, 2.0, 3.0, 2.0, 1.0])
-    page.viewer._import(msgspec.json.encode(design), None)
+    page.viewer.wishes.go_on_from(msgspec.json.encode(design), None)
     assert page.commands == [(NAME, InjectDesign([1.0, 2.0, 3.0, 2.0, 1.0]))]
-    page.viewer._import(msgspec.json.encode(msgspec.structs.replace(design, task="pen_press")), None)
+    page.viewer.wishes.go_on_from(msgspec.json.encode(msgspec.structs.replace(design, task="pen_press")), None)
     assert "design for pen_press, not for reacher" in page.viewer.notice.content
-    page.viewer._import(b"<mujoco/>", None)
+    page.viewer.wishes.go_on_from(b"<mujoco/>", None)
     assert "no design.json" in page.viewer.notice.content
     assert len(page.commands) == 1
 

@@ -33,7 +33,7 @@ def compare(seen: np.ndarray) -> str:
     except ImportError:
         return "policy.onnx: not compared with policy.npz: pip install onnxruntime"
     seen = np.array(seen, dtype=np.float32)
-    session = onnxruntime.InferenceSession(here / "policy.onnx", providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(str(here / "policy.onnx"), providers=["CPUExecutionProvider"])
     (found,) = session.run(["action"], {"observation": seen})
     off = float((np.abs(found - act(seen)) / np.maximum(arrays["action_scale"], 1e-300)).max(initial=0.0))
     said = (

@@ -4,7 +4,6 @@ import sys
 import time
 
 import mujoco
-import mujoco.viewer
 import numpy as np
 from policy import act, arrays, compare, here, size
 
@@ -13,7 +12,11 @@ data = mujoco.MjData(model)
 mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
 joints = len(arrays["action_scale"])
 seen = []
-viewer = mujoco.viewer.launch_passive(model, data) if "--view" in sys.argv else None
+viewer = None
+if "--view" in sys.argv:
+    import mujoco.viewer  # a machine without a screen may lack what it needs
+
+    viewer = mujoco.viewer.launch_passive(model, data)
 for _ in range(int(arrays["horizon"])):
     seen.append(data.qpos[:size].copy())
     data.ctrl[:joints] = np.clip(data.qpos[:joints] + act(seen[-1]), *model.actuator_ctrlrange[:joints].T)

@@ -4,6 +4,7 @@ const LIT = { goal: 0x14c85a, button: 0xffd628, contact: 0xffb000 };
 const GHOST = { thickness: 0.85, opacity: 0.3, colour: 0x8a94a0 };
 const NOTHING = -32768; // stands for no contact
 const MOST_STEPS = 32767; // steps from the middle to the farthest place in an episode
+const LINK_HALF = 0.1; // m: half the length of a link as it is carried
 const CAPSULE = new THREE.CapsuleGeometry(1, 2, 8, 20).rotateX(Math.PI / 2); // along z; its ends are at ±1
 
 const SHAPES = {
@@ -14,31 +15,31 @@ const SHAPES = {
 };
 
 function geometryOf({ kind, mesh }, meshes) {
-  if (kind !== "mesh") return SHAPES[kind]();
-  const geometry = new THREE.BufferGeometry(), { vertices, faces } = meshes[mesh];
-  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(vertices), 3));
-  geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(faces), 1));
-  return THREE.toCreasedNormals(geometry, 0.6);
+  if (mesh < 0) return SHAPES[kind]();
+  return smooth(meshes[mesh].vertices, meshes[mesh].faces);
 }
 
-/** Give a shape its half-extents: a capsule keeps its ends round, all else is stretched. */
+/** Give a shape its half-extents: a capsule keeps its ends round, a link its joints, all else is stretched. */
 function fit(shape, kind, size, thickness = 1) {
   const [x, y, z] = size, radius = x * thickness;
   shape.visible = x > 0 || y > 0 || z > 0;
   if (kind === "mesh" || !shape.visible) return;
-  if (kind !== "capsule") {
-    shape.scale.set(radius, kind === "box" ? y : y * thickness, z * (kind === "sphere" ? thickness : 1));
-    return;
-  }
-  if (shape.userData.radius === radius && shape.userData.half === z) return;
-  Object.assign(shape.userData, { radius, half: z });
-  const from = CAPSULE.attributes.position, to = shape.geometry.attributes.position;
+  if (kind === "capsule") stretch(shape, CAPSULE.attributes.position, radius, 1, z);
+  else if (kind === "link") stretch(shape, shape.userData.whole, thickness, LINK_HALF, z);
+  else shape.scale.set(radius, kind === "box" ? y : y * thickness, z * (kind === "sphere" ? thickness : 1));
+}
+
+/** Scale a shape from its own corners, and then move what is above and below its middle, `own` being half its length, so that it has another one. */
+function stretch(shape, from, scale, own, half) {
+  const { userData, geometry } = shape, to = geometry.attributes.position;
+  if (userData.scale === scale && userData.half === half) return;
+  Object.assign(userData, { scale, half });
   for (let i = 0; i < from.count; i++) {
     const along = from.getZ(i), end = Math.sign(along);
-    to.setXYZ(i, from.getX(i) * radius, from.getY(i) * radius, end * z + (along - end) * radius);
+    to.setXYZ(i, from.getX(i) * scale, from.getY(i) * scale, end * half + (along - end * own) * scale);
   }
   to.needsUpdate = true;
-  shape.geometry.computeBoundingSphere();
+  geometry.computeBoundingSphere();
 }
 
 class Actors {
@@ -64,22 +65,21 @@ class Actors {
   shape(part) {
     const [r, g, b] = part.colour, pale = part.group === "scenery" && part.name.startsWith("goal");
     const color = new THREE.Color().setRGB(r / 255, g / 255, b / 255, "srgb");
-    const shape = new THREE.Mesh(
-      geometryOf(part, this.run.cast.meshes),
-      new THREE.MeshLambertMaterial({ color, transparent: pale, opacity: pale ? 0.7 : 1 }),
-    );
+    const shape = this.mesh(part, { color, transparent: pale, opacity: pale ? 0.7 : 1 });
     shape.castShadow = part.group !== "scenery";
     shape.receiveShadow = !pale;
-    shape.visible = false;
-    this.scene.add(shape);
     return shape;
   }
 
   ghost(part) {
-    const shape = new THREE.Mesh(
-      geometryOf(part, this.run.cast.meshes),
-      new THREE.MeshLambertMaterial({ color: GHOST.colour, transparent: true, opacity: GHOST.opacity, depthWrite: false }),
-    );
+    const behind = { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 }; // where both are in one place
+    return this.mesh(part, { color: GHOST.colour, transparent: true, opacity: GHOST.opacity, depthWrite: false, ...behind });
+  }
+
+  /** Return the mesh of a part, which is not seen before it is given its size. */
+  mesh(part, look) {
+    const shape = new THREE.Mesh(geometryOf(part, this.run.cast.meshes), paint(look));
+    if (part.kind === "link") shape.userData.whole = shape.geometry.attributes.position.clone();
     shape.visible = false;
     this.scene.add(shape);
     return shape;

@@ -13,7 +13,7 @@ const AXES = { iterations: "iteration", env_steps: "environment steps" };
 const FLAT = 0.25; // a scene that is lower than this share of its shorter side is seen from above
 const ABOVE = [0, -0.3, 1], OBLIQUE = [0.55, -1.1, 0.5];
 const NARROW = 280; // px: a view that is less wide has small captions
-const REST = 250; // ms without a change after which the picture is drawn finely
+const TELL_EVERY = 100; // ms between two changes of what stands beside the picture while the evolution plays
 const PAUSE = 0.7; // s between the end of an episode and its next beginning
 const GOOD = 0.95; // success that is told in green
 
@@ -106,6 +106,7 @@ class Evolution {
     this.several = runs.length > 1;
     this.axis = "iterations";
     this.place = this.span[0];
+    this.told = 0; // ms
     this.mode = ""; // "evolution" or "episode" while one of them plays
     this.time = null; // s into the episodes; null where bodies stand
     this.charts = this.makeCharts();
@@ -127,7 +128,6 @@ class Evolution {
     const flat = high[2] - low[2] < FLAT * Math.min(high[0] - low[0], high[1] - low[1]);
     this.actors = this.runners.map(({ run }) => new Actors(run, flat));
     this.stage = new Stage(canvas, drawn, aroundBox(flat ? ABOVE : OBLIQUE, low, high));
-    this.stage.orbit.addEventListener("change", () => { this.dirty = true; });
     this.stage.show(this.actors);
     this.haunt($("ghost").checked);
     this.writeScale();
@@ -141,12 +141,12 @@ class Evolution {
       caption.classList.toggle("narrow", width < NARROW);
       Object.assign(caption.style, { left: `${left}px`, top: `${top}px`, maxWidth: `${width}px` });
     });
-    this.dirty = true;
+    this.stage?.touch();
   }
 
   haunt(on) {
     for (const actors of this.actors ?? []) actors.haunt(on);
-    this.dirty = true;
+    this.stage?.touch();
   }
 
   // --- the place ------------------------------------------------------------------------------------------------------
@@ -202,12 +202,18 @@ class Evolution {
   /** Show everything at the place. */
   turn() {
     for (const runner of this.runners) runner.go(this.axis, this.place);
+    this.stage?.touch();
+    if (this.mode !== "evolution" || performance.now() - this.told > TELL_EVERY) this.tell();
+  }
+
+  /** Write and mark the place: what stands beside the picture costs more than the picture where a processor draws. */
+  tell() {
+    this.told = performance.now();
     for (const chart of this.charts) if (chart.cursor) chart.move(this.place);
     const slider = $("place"), [lo, hi] = this.span;
     Object.assign(slider, { min: lo, max: hi, step: this.axis === "iterations" ? 1 : "any", value: this.place });
     slider.setAttribute("aria-valuetext", this.runners.map((runner) => `${this.several ? `${LETTERS[runner.index]}: ` : ""}iteration ${runner.iteration} of ${runner.last}`).join(", "));
     this.write();
-    this.dirty = true;
   }
 
   write() {
@@ -242,7 +248,7 @@ class Evolution {
     }
     this.halt = false;
     this.write();
-    this.dirty = true;
+    this.stage?.touch();
   }
 
   get duration() { return Math.max(...this.runners.map(({ duration }) => duration)); }
@@ -254,7 +260,7 @@ class Evolution {
         if (this.halt) Object.assign(this, { mode: "evolution", time: null, halt: false });
         else this.time = 0;
       }
-      this.dirty = true;
+      this.stage?.touch();
       this.write();
     } else if (this.mode === "evolution") {
       const [lo, hi] = this.span, before = this.place, place = before + ((hi - lo) * seconds) / Number($("pace").value);
@@ -264,8 +270,8 @@ class Evolution {
       else if (place >= hi) {
         this.mode = "";
         if (this.runners.some(({ episode }) => episode)) this.playEpisode();
-        this.write();
       }
+      if (this.mode !== "evolution") this.tell();
     }
   }
 
@@ -275,17 +281,12 @@ class Evolution {
     this.advance(passed);
     if (!this.stage) return;
     this.stage.orbit.update();
-    if (this.dirty || this.mode) this.drawn = ms;
-    else if (this.stage.fine || ms - this.drawn < REST) return;
-    const finely = !this.dirty && !this.mode;
-    this.dirty = false;
-    this.runners.forEach((runner, i) => {
+    const drawn = this.stage.present(ms, Boolean(this.mode), () => this.runners.forEach((runner, i) => {
       const time = this.time === null ? null : Math.min(this.time, runner.duration);
       runner.draw(this.actors[i], time, this.mode === "evolution");
-    });
-    this.stage.draw({ finely });
-    if (this.mode && passed < 0.25) this.stage.pace(1000 * passed);
-    this.frames++;
+    }));
+    if (drawn && this.mode && passed < 0.25) this.stage.pace(1000 * passed);
+    this.frames += drawn;
   }
 
   frames = 0;
@@ -352,8 +353,9 @@ class Evolution {
   /** Say how large the squares on the floor are, once there are bodies. */
   writeScale() {
     if (!this.actors) return;
-    const { cell } = this.actors[0], entry = document.createElement("li");
-    entry.textContent = `squares of ${cell < 1 ? `${number(100 * cell)} cm` : `${number(cell)} m`}; bodies as simulated, not as printed; pale: initial design`;
+    const { cell } = this.actors[0], entry = document.createElement("li"), printed = this.runners[0].run.cast.printed;
+    const bodies = printed ? "bodies as printed; they touch as capsules" : "bodies as simulated, not as printed";
+    entry.textContent = `squares of ${cell < 1 ? `${number(100 * cell)} cm` : `${number(cell)} m`}; ${bodies}; pale: initial design`;
     $("legend").append(entry);
   }
 
@@ -412,7 +414,7 @@ function connect(evolution) {
     evolve: () => evolution.evolve(),
     episode: () => evolution.playEpisode(),
     best: () => evolution.best(),
-    home: () => { evolution.stage?.home(); evolution.dirty = true; },
+    home: () => evolution.stage?.home(),
   };
   for (const [id, act] of Object.entries(press)) $(id).addEventListener("click", act);
   $("episode").disabled = !evolution.runners.some(({ episode }) => episode);
@@ -420,7 +422,7 @@ function connect(evolution) {
   $("place").addEventListener("input", () => evolution.seek($("place").valueAsNumber));
   $("axis").addEventListener("change", () => evolution.change($("axis").value));
   $("ghost").addEventListener("change", () => evolution.haunt($("ghost").checked));
-  $("theme").addEventListener("click", () => { evolution.stage?.paint(); evolution.dirty = true; }); // after the page has changed
+  $("theme").addEventListener("click", () => evolution.stage?.paint()); // after the page has changed
   const pace = () => { $("pace").selectedIndex = ($("pace").selectedIndex + 1) % $("pace").options.length; };
   const keys = {
     " ": press.evolve, e: press.episode, b: press.best, h: press.home, s: pace,
@@ -438,10 +440,12 @@ function connect(evolution) {
   });
 }
 
+const STAYS = "The pictures are those of the best designs; the traces, the slider and the table work.";
+
 /** Say why no body is seen in 3-D; pictures, traces and table stay. */
 function withoutBodies(sentence, missing) {
   document.body.dataset.state = "still";
-  say(`${sentence} The pictures are those of the best designs; the traces, the slider and the table work. ${missing}`.trim());
+  say(`${sentence} ${STAYS} ${missing}`.trim());
 }
 
 async function begin() {
@@ -455,6 +459,7 @@ async function begin() {
   else {
     document.body.dataset.state = "live";
     evolution.perform($("stage"), drawn);
+    watchGraphics(evolution.stage, STAYS, evolution.missing);
   }
   if (!matchMedia("(prefers-reduced-motion: reduce)").matches) evolution.evolve();
   await new Promise((resolve) => {

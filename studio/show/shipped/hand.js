@@ -7,10 +7,12 @@ const REPORT_EVERY = 0.2; // s between two changes of what is written
 
 const missing = { webgl: "This browser has no WebGL, so that nothing moves here.", wasm: "This browser has no WebAssembly, so that MuJoCo can't run here." };
 
+const STAYS = "The picture and the numbers are all the same those of this design.";
+
 /** Say why nothing runs; the picture and the numbers stay. */
 function giveUp(sentence) {
   document.body.dataset.state = "still";
-  say(`${sentence} The picture and the numbers are all the same those of this design.`);
+  say(`${sentence} ${STAYS}`);
 }
 
 class Tally {
@@ -137,12 +139,14 @@ class Show {
       for (; this.behind >= dt; this.behind -= dt, this.simulated += dt) this.step();
       this.physicsMs += performance.now() - before;
     }
-    for (const { view, forces } of this.shown) view.point(...(forces.arrow() ?? [null, null]));
     this.stage.orbit.update();
-    this.stage.draw();
-    this.stage.pace(1000 * passed);
-    this.frames++;
-    if (ms - (this.written ?? 0) > 1000 * REPORT_EVERY) {
+    const arrows = this.shown.map(({ forces }) => forces.arrow());
+    const drawn = this.stage.present(ms, this.running || arrows.some(Boolean), () => {
+      this.shown.forEach(({ view }, i) => view.point(...(arrows[i] ?? [null, null])));
+    });
+    if (drawn && this.running) this.stage.pace(1000 * passed);
+    this.frames += drawn;
+    if (this.running && ms - (this.written ?? 0) > 1000 * REPORT_EVERY) {
       this.written = ms;
       this.write();
     }
@@ -153,22 +157,23 @@ class Show {
   physicsMs = 0;
 
   write() {
-    $("run").textContent = this.running ? "❚❚ Pause" : "▶ Start";
+    put($("run"), this.running ? "❚❚ Pause" : "▶ Start");
     $("run").setAttribute("aria-pressed", String(this.running));
     this.shown.forEach(({ design, world, tally, label }, i) => {
       const { now } = world, verdict = this.counted && world.policy ? (this.verdicts[i] ? "success" : "failed") : "";
-      label.querySelector(".who").textContent = design.label;
+      put(label.querySelector(".who"), design.label);
       label.querySelector(".lifted").dataset.on = now.lifted;
       label.querySelector(".pressed").dataset.on = now.pressed;
       label.querySelector(".goal").dataset.on = now.goal;
-      label.querySelector(".tally").textContent = world.policy ? tally.text : "no policy";
-      label.querySelector(".risen").textContent = `${(100 * Math.max(0, now.risen)).toFixed(0)} cm up`;
+      put(label.querySelector(".tally"), world.policy ? tally.text : "no policy");
+      put(label.querySelector(".risen"), `${(100 * Math.max(0, now.risen)).toFixed(0)} cm up`);
       label.dataset.verdict = verdict;
-      label.querySelector(".verdict").textContent = { success: "✓ held", failed: "✗ not held", "": "" }[verdict];
+      put(label.querySelector(".verdict"), { success: "✓ held", failed: "✗ not held", "": "" }[verdict]);
     });
     const { horizon, control_dt: dt } = this.rule, time = Math.min(this.shown[0].world.time, horizon * dt);
     $("clock").value = time / (horizon * dt);
-    $("time").textContent = `${time.toFixed(1)} of ${(horizon * dt).toFixed(0)} s`;
+    put($("time"), `${time.toFixed(1)} of ${(horizon * dt).toFixed(0)} s`);
+    this.stage.touch();
   }
 }
 
@@ -262,6 +267,7 @@ async function begin() {
   connect(show);
   connectSliders(show);
   document.body.dataset.state = "live";
+  watchGraphics(show.stage, STAYS, hands.missing);
   show.place();
   show.stage.resize();
   show.stage.home();

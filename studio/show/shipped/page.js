@@ -18,6 +18,24 @@ async function unpacked(id) {
 
 const unpackedText = async (id) => new TextDecoder().decode(await unpacked(id));
 
+/** Write a text that may be the one that is there, which then costs nothing. */
+function put(node, text) {
+  if (node.textContent !== text) node.textContent = text;
+}
+
+/** Show the picture, and that it `stays`, for as long as the browser has taken the graphics away; `before` is said again then. */
+function watchGraphics(stage, stays, before) {
+  stage.canvas.addEventListener("webglcontextlost", () => {
+    document.body.dataset.state = "still";
+    say(`The browser has taken the graphics away from this page and may give them back; if not, load it again. ${stays}`);
+  });
+  stage.canvas.addEventListener("webglcontextrestored", () => {
+    stage.paint();
+    document.body.dataset.state = "live";
+    say(before);
+  });
+}
+
 function say(sentence) {
   $("note").textContent = sentence;
   $("note").hidden = !sentence;
@@ -25,7 +43,8 @@ function say(sentence) {
 
 function connectPage() {
   const root = document.documentElement, dark = matchMedia("(prefers-color-scheme: dark)");
-  root.dataset.theme = dark.matches ? "dark" : "light";
+  const wanted = location.hash.slice(1); // a page round this one may have another theme than the reader's system
+  root.dataset.theme = wanted === "dark" || (wanted !== "light" && dark.matches) ? "dark" : "light";
   $("theme").addEventListener("click", () => { root.dataset.theme = root.dataset.theme === "dark" ? "light" : "dark"; });
   $("licences").addEventListener("toggle", async () => {
     if ($("licences").open) $("licence-text").textContent ||= await unpackedText("licences-packed");

@@ -2,9 +2,15 @@
 
 const ASPECT = 1.2; // of a view that is to be neither wide nor high
 const AIR = 1.12; // of what is framed, how much larger the picture is
-const SLOW_FRAME = 24; // ms: with frames that are slower on average the picture becomes simpler
+const SLOW_FRAME = 24, FAST_FRAME = 18.5; // ms: with frames that are slower the picture becomes simpler, with faster ones better
+const HELPED = 0.9; // of the time of a frame: with more of it a simpler picture has not helped
+const PATIENCE = 12; // looks at fast frames after which a better picture is tried, and twice as many after each time
 const FEWEST_FRAMES = 9, LONGEST_LOOK = 1500; // frames and ms after which it is judged whether they are slow
+const FINEST = 4e6; // pixels of a picture in which nothing moves
+const REST = 250; // ms without a change after which it is drawn
 const QUALITIES = [[2, true], [1.25, true], [1, false], [0.7, false], [0.5, false]]; // most pixels for one of CSS; shadows
+const CREASE = 0.6; // rad: an edge that is sharper stays an edge
+const ALIKE = 0.02; // in each component of a normal
 
 /** Frame a ball: seen along `sight`, with its centre in the middle. Lengths are in m. */
 function aroundBall(sight, target, radius) {
@@ -35,6 +41,56 @@ function lights(reach) {
   return [new THREE.HemisphereLight(0xffffff, 0xb8b2a8, 1.9), lamp];
 }
 
+const LIT_AT_CORNERS = {
+  vertexShader: `
+    #include <common>
+    #include <colorspace_pars_fragment>
+    #include <lights_pars_begin>
+    uniform vec3 diffuse, emissive;
+    varying vec3 lit;
+    void main() {
+      vec3 way = normalize(normalMatrix * normal), light = getHemisphereLightIrradiance(hemisphereLights[0], way);
+      light += max(dot(way, directionalLights[0].direction), 0.0) * directionalLights[0].color;
+      lit = sRGBTransferOETF(vec4(RECIPROCAL_PI * light * diffuse + emissive, 1.0)).rgb;
+      gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+    }`,
+  fragmentShader: `
+    uniform float opacity;
+    varying vec3 lit;
+    void main() { gl_FragColor = vec4(lit, opacity); }`,
+};
+
+/** Return a material that looks like this; where no shadow falls it is lit at its corners alone, as a processor that draws has little time. */
+function paint(look) {
+  const material = new THREE.MeshLambertMaterial(look);
+  material.onBeforeCompile = (shader, { shadowMap }) => { if (!shadowMap.enabled) Object.assign(shader, LIT_AT_CORNERS); };
+  return material;
+}
+
+/** Return a mesh of triangles, smooth but for its edges; corners in one place that are lit alike are one. */
+function smooth(positions, faces) {
+  const flat = new THREE.BufferGeometry();
+  flat.setAttribute("position", new THREE.BufferAttribute(new Float32Array(positions), 3));
+  flat.setIndex(new THREE.BufferAttribute(new Uint32Array(faces), 1));
+  const { position, normal } = THREE.toCreasedNormals(flat, CREASE).attributes; // a corner for each of each triangle
+  const index = new Uint32Array(faces.length), known = Array.from({ length: positions.length / 3 }, () => []), kept = [];
+  for (let i = 0; i < faces.length; i++) {
+    const alike = (k) => [0, 1, 2].every((axis) => Math.abs(normal.getComponent(i, axis) - normal.getComponent(kept[k], axis)) < ALIKE);
+    const there = known[faces[i]];
+    let found = there.find(alike);
+    if (found === undefined) there.push(found = kept.push(i) - 1);
+    index[i] = found;
+  }
+  const geometry = new THREE.BufferGeometry();
+  for (const [name, all] of Object.entries({ position, normal })) {
+    const few = new Float32Array(3 * kept.length);
+    kept.forEach((i, k) => few.set(all.array.subarray(3 * i, 3 * i + 3), 3 * k));
+    geometry.setAttribute(name, new THREE.BufferAttribute(few, 3));
+  }
+  geometry.setIndex(new THREE.BufferAttribute(index, 1));
+  return geometry;
+}
+
 /** Return whether there is WebGL, and whether a processor has to draw. */
 function graphics() {
   const gl = document.createElement("canvas").getContext("webgl2");
@@ -50,8 +106,12 @@ class Stage {
   constructor(canvas, { slow }, framing) {
     this.canvas = canvas;
     this.framing = framing;
-    this.quality = slow ? QUALITIES.length - 2 : 0;
-    this.renderer = new THREE.WebGLRenderer({ canvas, alpha: false, antialias: !slow, powerPreference: "high-performance" });
+    this.best = slow ? QUALITIES.findIndex(([, shadows]) => !shadows) : 0; // of moving pictures
+    this.quality = this.best;
+    this.simplest = QUALITIES.length - 1;
+    Object.assign(this, { patience: PATIENCE, calm: 0, before: null });
+    const wanted = { alpha: false, antialias: !slow, stencil: false, powerPreference: "high-performance" };
+    this.renderer = new THREE.WebGLRenderer({ canvas, context: canvas.getContext("webgl2", wanted) }); // its own has alpha always
     this.renderer.shadowMap.enabled = QUALITIES[this.quality][1];
     this.camera = new THREE.PerspectiveCamera(32, 1);
     this.camera.up.set(0, 0, 1);
@@ -60,6 +120,7 @@ class Stage {
     this.views = [];
     this.frames = [];
     this.fine = false;
+    this.orbit.addEventListener("change", () => this.touch());
     this.paint();
     this.home();
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
@@ -84,7 +145,13 @@ class Stage {
 
   /** Take the colour behind everything from the style: a canvas that is opaque is drawn faster. */
   paint() {
-    this.renderer.setClearColor(getComputedStyle(this.canvas.parentElement).backgroundColor);
+    this.renderer.setClearColor(getComputedStyle(this.canvas.parentElement).getPropertyValue("--stage").trim());
+    this.touch();
+  }
+
+  /** Say that something has changed, so that the next picture is drawn. */
+  touch() {
+    this.touched = true;
   }
 
   /** Return how many views stand beside each other: so many that each is about as wide as it is high. */
@@ -103,12 +170,25 @@ class Stage {
 
   resize() {
     const { clientWidth, clientHeight } = this.canvas.parentElement, [most, shadows] = QUALITIES[this.fine ? 0 : this.quality];
-    this.renderer.setPixelRatio(this.fine ? most : Math.min(devicePixelRatio, most));
+    const finest = Math.max(1, Math.min(most, Math.sqrt(FINEST / (clientWidth * clientHeight || 1))));
+    this.renderer.setPixelRatio(this.fine ? finest : Math.min(devicePixelRatio, most));
     this.renderer.setSize(clientWidth, clientHeight, false);
     if (this.renderer.shadowMap.enabled !== shadows) {
       this.renderer.shadowMap.enabled = shadows;
       for (const view of this.views) for (const shape of view.shapes) shape.material.needsUpdate = true;
     }
+    this.touch();
+  }
+
+  /** Draw what `moves` or has changed, and once more with all pixels when it has rested; return whether it was drawn. */
+  present(ms, moves, prepare = () => {}) {
+    if (moves || this.touched) this.changed = ms;
+    else if (this.fine || ms - this.changed < REST) return false;
+    const finely = !moves && !this.touched;
+    prepare();
+    this.draw({ finely });
+    this.touched = false;
+    return true;
   }
 
   /** Draw every view; `finely` where nothing moves, so that there is time for all pixels. */
@@ -130,17 +210,31 @@ class Stage {
     });
   }
 
-  /** Make the picture simpler if frames take too long: `ms` since the one before. */
+  /** Make the picture simpler if frames take too long and that helps, and better after many fast ones: `ms` since the one before. */
   pace(ms) {
     this.frames.push(ms);
     const { length } = this.frames, passed = this.frames.reduce((sum, one) => sum + one, 0);
     if (length < FEWEST_FRAMES || (length < 45 && passed < LONGEST_LOOK)) return;
     const middle = this.frames.sort((a, b) => a - b)[length >> 1];
     this.frames = [];
-    if (middle > SLOW_FRAME && this.quality < QUALITIES.length - 1) {
-      this.quality++;
-      this.resize();
+    const { before } = this;
+    this.before = null;
+    if (before && middle > HELPED * before) {
+      this.simplest = this.quality - 1;
+      this.change(this.simplest);
+    } else if (middle > SLOW_FRAME && this.quality < this.simplest) {
+      this.before = middle;
+      this.change(this.quality + 1);
+    } else if (middle < FAST_FRAME && this.quality > this.best && ++this.calm >= this.patience) {
+      this.patience *= 2;
+      this.change(this.quality - 1);
     }
+  }
+
+  change(quality) {
+    this.quality = quality;
+    this.calm = 0;
+    this.resize();
   }
 
   /** Return the view below a pointer, and the ray from the camera through it. */

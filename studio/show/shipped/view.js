@@ -20,13 +20,11 @@ function geometryOf(model, geom) {
 }
 
 function meshOf(model, mesh) {
-  const geometry = new THREE.BufferGeometry();
   const corners = model.mesh_vertadr[mesh] * 3, faces = model.mesh_faceadr[mesh] * 3;
-  const vertices = model.mesh_vert.slice(corners, corners + 3 * model.mesh_vertnum[mesh]);
-  const index = model.mesh_face.slice(faces, faces + 3 * model.mesh_facenum[mesh]);
-  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(vertices), 3));
-  geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(index), 1));
-  return THREE.toCreasedNormals(geometry, 0.6);
+  return smooth(
+    model.mesh_vert.slice(corners, corners + 3 * model.mesh_vertnum[mesh]),
+    model.mesh_face.slice(faces, faces + 3 * model.mesh_facenum[mesh]),
+  );
 }
 
 /** One world as it is drawn. */
@@ -69,7 +67,7 @@ class View {
       if (!shared.has(mesh)) shared.set(mesh, geometryOf(model, geom));
       const [r, g, b, opacity] = model.geom_rgba.slice(4 * geom, 4 * geom + 4), body = model.geom_bodyid[geom];
       const scenery = body === 0, ghost = scenery && model.geom_type[geom] !== GEOM.plane;
-      const material = new THREE.MeshLambertMaterial({
+      const material = paint({
         color: new THREE.Color().setRGB(r, g, b, "srgb"), transparent: ghost || opacity < 1, opacity: ghost ? 0.55 : opacity,
       });
       const shape = new THREE.Mesh(shared.get(mesh), material);

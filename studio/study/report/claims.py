@@ -15,10 +15,15 @@ from studio.study.report.scores import improvement
 Verdict = Literal["held", "not held", "not testable"]
 
 FEWEST = 3
+"""Seeds that must have ended before anything is said."""
 NEGATIVE_SHARE, NEGATIVE_TOLERANCE = 0.64, 0.10
+"""The paper's share of gradient steps with a negative cosine, and how far a median may be from it."""
 SIMILAR = 0.10
+"""Largest difference of the median success of two methods that count as similar."""
 LIFTED = 0.5
+"""Share of episodes from which on a hand counts as one that lifts the object."""
 FALLS_TO = 0.5
+"""Share of its first value that a curve must come down to."""
 TASKS = ("reacher", "pen_press", "mouse_click")
 """The paper's tasks, as they are called here."""
 BASELINES = ("no_hw_opt", "cmaes_rl", "transform2act")
@@ -165,26 +170,38 @@ def _outperforms(tasks: tuple[str, ...], baselines: tuple[str, ...]) -> Callable
             if len(rows) < FEWEST:
                 yield _too_few(task, variant, rows)
                 continue
-            said, beaten, seeds = [], [], len(rows)
-            for method in baselines:
-                rivals = [label for label in _variants_of(results, method)]
-                for rival in rivals:
-                    theirs = results.ended(task, rival)
-                    if len(theirs) < FEWEST:
-                        said.append(f"{rival} has too few seeds")
-                        beaten.append(None)
-                        continue
-                    better = improvement([[r.score for r in rows]], [[r.score for r in theirs]])
-                    said.append(f"P(> {rival}) = {better}")
-                    beaten.append(better.low > 0.5)
-                    seeds = min(seeds, len(theirs))
-                if not rivals:
-                    said.append(f"no {method} in this study")
-                    beaten.append(None)
+            duels = [duel for method in baselines for duel in _duels(results, task, rows, method)]
+            beaten = [duel.won for duel in duels]
             verdict: Verdict = "not held" if False in beaten else "not testable" if None in beaten else "held"
-            yield Finding(verdict, _subject(task, variant), "; ".join(said), seeds)
+            said, seeds = "; ".join(duel.words for duel in duels), min(duel.seeds for duel in duels)
+            yield Finding(verdict, _subject(task, variant), said, seeds)
 
     return judge
+
+
+@dataclass(frozen=True)
+class _Duel:
+    """How runs of MORPH compare with one baseline."""
+
+    words: str
+    won: bool | None
+    """Whether they end above it; None where that can't be said."""
+    seeds: int
+    """Seeds that were compared on both sides; those of MORPH where there was nothing to compare them with."""
+
+
+def _duels(results: Results, task: str, rows: list[RunRow], method: str) -> Iterator[_Duel]:
+    """Compare runs with every variant of a baseline on their task."""
+    rivals = _variants_of(results, method)
+    if not rivals:
+        yield _Duel(f"no {method} in this study", None, len(rows))
+    for rival in rivals:
+        theirs = results.ended(task, rival)
+        if len(theirs) < FEWEST:
+            yield _Duel(f"{rival} has too few seeds", None, len(rows))
+        else:
+            better = improvement([[r.score for r in rows]], [[r.score for r in theirs]])
+            yield _Duel(f"P(> {rival}) = {better}", better.low > 0.5, min(len(rows), len(theirs)))
 
 
 def similar_to_transform2act(results: Results) -> Iterator[Finding]:

@@ -40,7 +40,7 @@ def write_into(document: Path, name: str, results: Results) -> int:
             f'{document} has no place for tables of the study {name}: write the lines "<!-- study {name}: summary '
             f'{results.tasks[0]} -->" or "<!-- study {name}: claims -->", and below each "{_END}"'
         )
-    durable.write_file(document, filled.encode())
+    durable.write_file(durable.where_written(document), filled.encode())
     return count
 
 

@@ -232,7 +232,7 @@ def _open(path: Path) -> tuple[History | None, str, str]:
 
 def _unread(study: Study, planned: PlannedRun, status: str, reason: str) -> RunRow:
     method = next((v.method for v in study.variants if v.label == planned.variant), "")
-    return RunRow(**_names(planned), method=method, status=status, reason=reason)
+    return RunRow(**_whose(planned), method=method, status=status, reason=reason)
 
 
 def _run_row(study: Study, planned: PlannedRun, history: History, status: Status | str, reason: str) -> RunRow:
@@ -244,7 +244,7 @@ def _run_row(study: Study, planned: PlannedRun, history: History, status: Status
     loss, cost = _values(moving, "divergence"), _values(moving, "search_cost")
     shown = {name: config.get(name) for name in ("exploration", "search", "projection")}
     return RunRow(
-        **_names(planned),
+        **_whose(planned),
         method=history.record.method,
         **{name: str(value) if value is not None else None for name, value in shown.items()},
         alpha=_number(config.get("alpha")),
@@ -271,7 +271,8 @@ def _run_row(study: Study, planned: PlannedRun, history: History, status: Status
     )
 
 
-def _end(end: Evaluation | None) -> dict:
+def _end(end: Evaluation | None) -> dict[str, Any]:
+    """Return what a run came to, as fields of its row."""
     if end is None:
         return {}
     count = end.episodes
@@ -302,7 +303,7 @@ def _curve_rows(planned: PlannedRun, history: History) -> list[CurveRow]:
         }
         rows.append(
             CurveRow(
-                **_names(planned),
+                **_whose(planned),
                 iteration=progress.iteration,
                 env_steps=progress.env_steps,
                 relabelled_steps=progress.relabelled_steps,
@@ -326,7 +327,7 @@ def _design_rows(planned: PlannedRun, history: History) -> list[DesignRow]:
     values = zip(history.record.parameters, history.initial_phi.tolist(), history.phi.tolist(), best, strict=False)
     return [
         DesignRow(
-            **_names(planned), parameter=p.name, unit=p.unit, lo=p.lo, hi=p.hi, initial=start, final=now, best=top
+            **_whose(planned), parameter=p.name, unit=p.unit, lo=p.lo, hi=p.hi, initial=start, final=now, best=top
         )
         for p, start, now, top in values
     ]
@@ -343,7 +344,8 @@ def _word(value: object) -> str:
     return value if isinstance(value, str) else msgspec.json.encode(value).decode()
 
 
-def _names(planned: PlannedRun) -> dict:
+def _whose(planned: PlannedRun) -> dict[str, Any]:
+    """Return the fields by which every row says of which run it is."""
     return msgspec.structs.asdict(planned)
 
 
