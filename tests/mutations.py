@@ -56,6 +56,7 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/control.py", "core/test_passes.py",
         ("torch.tensor(0.5)", "torch.tensor(1.0)"),
+        ("told.index_select(0, index)", "told[: len(index)]"),
         ("pulls.masked_fill_(limited == ratio, 1.0)", "pass"),
         ("(pull * (u / std)).sum(0) - ", "(pull * (u / std)).sum(0) + "),
         ("of_std * inside * log_std.exp()", "of_std * log_std.exp()"),
@@ -146,6 +147,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("alive & ~transition.terminated & ~transition.diverged", "alive & ~transition.diverged"),
         ("kept & ~(transition.diverged & alive)", "kept & ~transition.diverged"),
         ("steps=int(np.sum(lives))", "steps=int(np.size(lives))"),
+        ("np.where(alive[:, None], action, np.float32(0))", "action"),
         ("success = stack(t.success & life", "success = stack(t.success"),
         ("successes=task.solved(success)", "successes=success.any(0)"),
     ),
@@ -217,10 +219,11 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/tasks/reacher.py", "core/test_reacher.py",
         ("touches[1:] |= ", "touches[1:] &= "),
-        ("(before[1:] != before[:-1]) & ", ""),
+        ("|= crosses & ", "|= "),
+        ("if crosses.any()", "if crosses.all()"),
         ("touches = (x >= self.xs[0]) & ", "touches = "),
         ("(np.minimum(first, end) - begin) / n", "(first - begin) / n"),
-        ("posture - (begin - 1)[of]", "posture - begin[of]"),
+        ("posture - (begin - 1).repeat(count)", "posture - begin.repeat(count)"),
         ("turned[0] -= across[1]", "turned[0] += across[1]"),
     ),
     # --- explorations ---
