@@ -114,6 +114,9 @@ _.up_direction
 _.entity_state_key
 _.redundancy_key
 
+# rich calls it.
+_.on_broken_pipe
+
 # ONNX Runtime reads what is set on its options.
 _.intra_op_num_threads
 

@@ -84,7 +84,8 @@ def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray, phi_seen: n
         if phi_seen is not None:
             observation = np.concatenate([observation, phi_seen], 1)
         action = act(observation)
-        transition = task.step(hardware, s, action)
+        # What has ended rests: some tasks take longer over a move, and nothing of it is read.
+        transition = task.step(hardware, s, np.where(alive[:, None], action, np.float32(0)))
         steps.append((s, observation, action, transition, alive))
         kept = kept & ~(transition.diverged & alive)
         s, alive = transition.s, alive & ~transition.terminated & ~transition.diverged

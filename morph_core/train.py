@@ -98,7 +98,7 @@ class Trainer:
         self._longest_iteration = 1  # environment steps
         self._method: Method | None = None
         self._state: State | None = None
-        self._is_searching, self._collected_in = True, 0.0
+        self._is_searching, self._collected_in, self._learnt_in = True, 0.0, 0.0
         self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
         self._best: Evaluation | None = None
@@ -227,17 +227,17 @@ class Trainer:
         return min(remaining, math.ceil(max(0, self._budget - self._env_steps) / max(1.0, steps)))
 
     @property
-    def _last_search(self) -> float:
-        """Return the iteration after which no search for phi is expected any more.
+    def _freezes_at(self) -> float:
+        """Return the iteration after which success is expected to have frozen phi, which ends the searches, and all
+        that serves them.
 
-        Success freezes phi, and so ends the searches: when, is guessed. Where a budget of steps ends the run nothing
-        is taken off: success may make episodes shorter, too, and so iterations more.
+        When it will is guessed. Where a budget of steps ends the run nothing is taken off: success may make episodes
+        shorter, too, and so iterations more.
         """
         method = self._method
         if method is None or self._budget is not None or not method.freezes:
             return math.inf
-        planned = method.schedule.iterations
-        left = planned - self._iteration
+        left = method.schedule.iterations - self._iteration
         return self._iteration + _SEARCHED * left if left > 0 else math.inf
 
     def _seconds_left(self, remaining: int) -> float | None:
@@ -246,12 +246,17 @@ class Trainer:
             return None
         evaluation, every = self._method.evaluation, self._method.search_interval
         first, last = self._iteration, self._iteration + remaining
-        searches = min(last, self._last_search) // every - first // every if every > 1 and self._is_searching else 0
+        frozen_at = min(last, self._freezes_at) if self._is_searching else last
+        searches = frozen_at // every - first // every if self._is_searching else 0
         evaluations = last // evaluation.interval - first // evaluation.interval
         evaluations += remaining > 0 and last % evaluation.interval > 0  # each run ends with one
         at_the_end = self._record.final_episodes / evaluation.episodes
-        expected = 2 * evaluation.episodes / self._method.trajectories * self._collected_in
-        return self._pace.left(remaining, searches, evaluations + at_the_end, expected)
+        shares = 2 * evaluation.episodes / self._method.trajectories  # of an evaluation, in iterations' trajectories
+        on_hw_phy = min(self._collected_in, (self._pace.evaluation or math.inf) / shares)
+        return self._pace.left(
+            remaining, searches, evaluations + at_the_end, expected=shares * self._collected_in,
+            settled=last - frozen_at, alone=on_hw_phy + self._learnt_in,
+        )  # fmt: skip
 
     # --- one iteration ---
 
@@ -314,7 +319,8 @@ class Trainer:
         if not np.isfinite(progress.episode_return):
             raise FloatingPointError("the mean return became infinite or NaN")
         self._iteration, self._env_steps = state.iteration, state.env_steps
-        self._is_searching, self._collected_in = not state.frozen, state.collected_in
+        self._is_searching = not state.frozen
+        self._collected_in, self._learnt_in = state.collected_in, state.learnt_in
         progress = msgspec.structs.replace(
             progress, relabelled_steps=state.relabelled_steps, search_steps=state.search_steps,
             diverged=state.diverged, cpu_seconds=self._cpu_seconds,

@@ -145,6 +145,7 @@ def make_desks(
         return export(runs.get(run_id), which, formats, phi, servo, printer)
 
     def make(client: viser.ClientHandle) -> Viewer:
+        width = client.camera.image_width  # of the whole page: the panels that are made now take their share of it
         viewer = Viewer(
             client,
             on_command=runs.send,
@@ -159,7 +160,7 @@ def make_desks(
             films=films,
             recordings=runs.recordings,
         )
-        if 0 < client.camera.image_width < NARROW_PAGE:
+        if 0 < width < NARROW_PAGE:
             viewer.playback.panel.minimize()  # with the column in which it stands
         return viewer
 

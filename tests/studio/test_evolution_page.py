@@ -114,6 +114,7 @@ def test_every_body_is_where_the_viewer_has_it(reacher: tuple[RunFolder, Page]) 
             )  # fmt: skip
             np.testing.assert_allclose(numbers[place, :3], figure.sizes[i], atol=1e-6)
             np.testing.assert_allclose(numbers[place, 6:], figure.wxyz[0, i], atol=1e-6)
+    assert made["high"][0] > 5 * 2.7, "the episode, in which the arm is stretched out, is framed too"
 
 
 def test_the_course_has_each_iteration_with_its_phi_and_its_bounds(reacher: tuple[RunFolder, Page]) -> None:
