@@ -31,8 +31,9 @@ from studio.export.provenance import Provenance
 from studio.export.readings import collision_box
 from studio.export.ros import FOLDER, in_packages
 from studio.export.screen import screen
+from studio.export.stand import check_standing
 from studio.export.urdf import NO_LIMIT, urdf_names
-from studio.export.verify import verify
+from studio.export.verify import load_model, verify_folder
 from studio.export.zero import moved_zero
 from studio.robots.chooser import robot_of
 from studio.robots.geometry import moments
@@ -168,10 +169,14 @@ def prove_robot(
     """Compare MJCF, URDF and parts with the robot that phi (d,) makes."""
     robot = robot_of(task)
     model, printed = task.spec(phi).compile(), robot.printed
-    checks = verify(
-        files, model, robot=design.robot, zero=robot.zero(phi), only_mujoco=only_mujoco,
-        stands=robot.printed,  # what a stranger's robot does without commands is not known
-    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as name:
+        folder, load = Path(name), cache(load_model)  # to build a model takes long
+        unpack(files, folder)
+        checks = verify_folder(
+            folder, files, model, robot=design.robot, zero=robot.zero(phi), only_mujoco=only_mujoco, load=load
+        )
+        if robot.printed:  # what a stranger's robot does without commands is not known
+            checks += _guarded("standing", lambda: _check_standing(folder, design.robot, model, load))
     for urdf in [path for path in (f"{design.robot}.urdf", *in_packages(files, design.robot)) if path in files]:
         checks += _guarded(urdf, lambda urdf=urdf: _check_urdf(urdf, files[urdf], task, phi))
     if (archive := f"{design.robot}.mjz") in files:
@@ -186,6 +191,18 @@ def prove_robot(
         checks += _guarded("plates", lambda: check_plates(files, design.parts, read))
     if "assembly.glb" in files:
         checks += _guarded("assembly.glb", lambda: _check_assembly(files["assembly.glb"], design, model, printed))
+    return checks
+
+
+def _check_standing(
+    folder: Path, robot: str, model: mujoco.MjModel, load: Callable[[Path], mujoco.MjModel]
+) -> list[Check]:
+    """Check that the robot of a `model` stands where each MJCF file of a folder begins."""
+    own = {model.body(b).name for b in range(1, model.nbody)}
+    checks: list[Check] = []
+    for file, bodies in ((f"{robot}.xml", own | {"world"}), ("scene.xml", own)):
+        if (folder / file).exists():
+            checks += check_standing(file, load(folder / file), bodies)
     return checks
 
 
@@ -312,7 +329,7 @@ def check_digests(files: Mapping[str, bytes]) -> Check:
     name = f"{PROVENANCE}: digests"
     try:
         expected = msgspec.json.decode(files.get(PROVENANCE, b""), type=Provenance).sha256
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         return Check(name, math.inf, 0.0, f"can't be read: {error}")
     found = {path: hashlib.sha256(content).hexdigest() for path, content in files.items() if path != PROVENANCE}
     wrong = sorted(path for path in found.keys() | expected.keys() if found.get(path) != expected.get(path))
@@ -324,7 +341,7 @@ def check_digests(files: Mapping[str, bytes]) -> Check:
 def _promised(files: Mapping[str, bytes]) -> list[Score]:
     try:
         return msgspec.json.decode(files[PROVENANCE], type=Provenance).policy
-    except (KeyError, msgspec.DecodeError):
+    except (KeyError, ValueError, RecursionError):
         return []
 
 

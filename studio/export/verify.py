@@ -6,21 +6,17 @@ centres and moments of inertia, joint limits, and where every body and site stan
 
 import importlib.util
 import math
-import tempfile
 from collections.abc import Callable, Mapping
-from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
-from studio.export.archive import unpack
 from studio.export.check import Check, relative, worst
 from studio.export.errors import ExportError
 from studio.export.readings import Reading, read_mjcf, read_urdf, read_yourdfpy
 from studio.export.ros import FOLDER, in_packages, plain_urdf
-from studio.export.stand import check_standing
 from studio.export.urdf import DRIVES, WORLD
 
 # MuJoCo would keep up to 500 MB of meshes by their paths, which are those of folders that are gone.
@@ -41,50 +37,32 @@ FRAME_MASS = 1e-3
 """kg: what a link may weigh that stands for a place on a body, and is given a weight for readers that need one."""
 
 
-def verify(
+def load_model(path: Path) -> mujoco.MjModel:
+    """Return what MuJoCo makes of an MJCF or URDF."""
+    return mujoco.MjModel.from_xml_path(str(path))
+
+
+def verify_folder(
+    folder: Path,
     files: Mapping[str, bytes],
     model: mujoco.MjModel | None = None,
     *,
     robot: str = "robot",
     zero: Mapping[str, float] | None = None,
     only_mujoco: bool = False,
-    stands: bool = False,
+    load: Callable[[Path], mujoco.MjModel] = load_model,
 ) -> list[Check]:
     """Compare `robot`.xml, .mjz and .urdf of `files` with `model`, or with one another if there is none.
 
-    `zero` holds the values at which the model's joints, by name, are where the files have them at 0. With `stands`, it
-    is also checked that the model's robot stands where each MJCF file begins.
-
-    A file that can't be read gives a failed check, not an exception.
+    The files lie in a `folder` too, and MuJoCo reads them by `load`. `zero` holds the values at which the model's
+    joints, by name, are where the files have them at 0. A file that can't be read gives a failed check, not an
+    exception.
     """
-    with tempfile.TemporaryDirectory() as name:
-        folder, load = Path(name), cache(_load)  # to build a model takes long
-        unpack(files, folder)
-        checks = _read_and_compare(folder, robot, None if model is None else read_mjcf(model, zero), only_mujoco, load)
-        for path in (f"{robot}.urdf", *in_packages(files, robot)):
-            if path in files:
-                checks.append(_check_urdf(path, files))
-        if stands and model is not None:
-            checks += _check_standing(folder, robot, model, load)
-        return checks
-
-
-def _load(path: Path) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_path(str(path))
-
-
-def _check_standing(
-    folder: Path, robot: str, model: mujoco.MjModel, load: Callable[[Path], mujoco.MjModel]
-) -> list[Check]:
-    """Check that the robot of a `model` stands where each MJCF file of a folder begins."""
-    own = {model.body(b).name for b in range(1, model.nbody)}
-    checks: list[Check] = []
-    try:
-        for file, bodies in ((f"{robot}.xml", own | {"world"}), ("scene.xml", own)):
-            if (folder / file).exists():
-                checks += check_standing(file, load(folder / file), bodies)
-    except Exception as error:  # whatever a reader throws at a broken file is the finding
-        return [Check("standing", math.inf, 0.0, f"can't be read: {error}")]
+    reference = None if model is None else read_mjcf(model, zero)
+    checks = _read_and_compare(folder, robot, reference, only_mujoco, load)
+    for path in (f"{robot}.urdf", *in_packages(files, robot)):
+        if path in files:
+            checks.append(_check_urdf(path, files))
     return checks
 
 
@@ -126,7 +104,7 @@ def _read_packaged(folder: Path, path: str) -> Reading:
     """Read the URDF of a ROS package, with its meshes by plain paths."""
     plain = folder / "packaged.urdf"
     plain.write_bytes(plain_urdf(path, (folder / path).read_bytes()))
-    return read_urdf(_load(plain))
+    return read_urdf(load_model(plain))
 
 
 def compare(name: str, reference: Reading, reading: Reading) -> list[Check]:

@@ -21,7 +21,7 @@ _MOUNT = 40.0
 """mm: where on the palm the piece begins that carries a finger, and how wide it is."""
 
 _SEEN = 0.4
-"""mm: by how much a surface that is drawn may differ from the one that is printed, less than a pixel of a page."""
+"""Millimetres by which a surface that is drawn may differ from the one that is printed, less than a pixel of a page."""
 
 
 def is_printed(task: Task) -> TypeGuard[GraspTask]:

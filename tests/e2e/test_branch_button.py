@@ -9,7 +9,7 @@ from served import Server, events_of, wait_for
 from test_studio import enter, open_studio, press, turn_to, viewer_of
 
 from morph_core.protocol import Progress, StateChanged
-from morph_core.run_folder import RunFolder
+from morph_core.run_folder import RunFolder, list_runs
 from morph_core.train import Trainer
 from studio.new_run import StartRun, prepare_run
 
@@ -45,10 +45,8 @@ def test_a_person_branches_from_a_finished_run(server: Server, page: Page) -> No
     enter(frame.locator("body"), "α", 0.5)
     press(frame, "Start")
 
-    folders = wait_for(
-        "the branch", lambda: [p for p in server.runs.iterdir() if p.is_dir() and p.name != parent.id], 20
-    )
-    branch = RunFolder(folders[0])
+    names = wait_for("the branch", lambda: [name for name in list_runs(server.runs) if name != parent.id], 20)
+    branch = RunFolder(server.runs / names[0])
     record = branch.record()
     assert (record.begins_at, record.iterations, record.config["alpha"]) == (4, 7, 0.5)
     wait_for("its end", lambda: [e for e in events_of(branch, StateChanged) if e.status == "finished"], 90)

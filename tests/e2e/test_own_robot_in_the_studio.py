@@ -85,7 +85,7 @@ def test_a_task_of_another_package_is_started_watched_and_downloaded(server: Ser
 
     turn_to(frame, "Export")
     press(frame, "Check and prepare")
-    expect(frame.get_by_text(re.compile(r"✓ \d+ comparisons agree"))).to_be_visible()
+    expect(frame.get_by_text(re.compile(r"✓ \d+ comparisons agree"))).to_be_visible(timeout=200_000)
     with page.expect_download() as download:
         frame.get_by_role("button", name=re.compile("^Download ")).dispatch_event("click")
     with zipfile.ZipFile(download.value.path()) as bundle:

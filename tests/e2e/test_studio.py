@@ -18,7 +18,7 @@ from yourdfpy import URDF
 
 from morph_core.catalogue import make_task
 from morph_core.protocol import Acknowledged, Evaluation, Pause, Progress, Resume, SetAlpha, SetBound, StateChanged
-from morph_core.run_folder import RunFolder
+from morph_core.run_folder import RunFolder, list_runs
 from studio.export.design_file import Design, Value
 
 pytestmark = pytest.mark.browser
@@ -127,7 +127,7 @@ def disagreement(design: Path) -> float:
 def start_run(server: Server, frame: Frame) -> RunFolder:
     """Press Start and wait until the run learns."""
     press(frame, "Start")
-    wait_for("a run folder", lambda: any(server.runs.glob("*/run.json")), 10)
+    wait_for("a run folder", lambda: list_runs(server.runs), 10)
     run = server.only_run()
     wait_for("the first evaluation", lambda: events_of(run, Evaluation), 90)
     return run
@@ -140,7 +140,7 @@ def test_a_person_starts_watches_steers_and_downloads_a_run(server: Server, page
     wait_for("the initial design", lambda: robot_of(frame), 20)
 
     press(frame, "Start")
-    wait_for("a run folder", lambda: any(server.runs.glob("*/run.json")), 10)
+    wait_for("a run folder", lambda: list_runs(server.runs), 10)
     run = server.only_run()
     wait_for("the first iteration", lambda: events_of(run, Progress), 60)
     wait_for("the first evaluation", lambda: events_of(run, Evaluation), 60)
@@ -183,7 +183,7 @@ def test_a_person_starts_watches_steers_and_downloads_a_run(server: Server, page
 
     turn_to(frame, "Export")
     press(frame, "Check and prepare")
-    expect(frame.get_by_text(re.compile(r"✓ \d+ comparisons agree"))).to_be_visible()
+    expect(frame.get_by_text(re.compile(r"✓ \d+ comparisons agree"))).to_be_visible(timeout=200_000)
     with page.expect_download() as download:
         frame.get_by_role("button", name=re.compile("^Download ")).dispatch_event("click")
     zipfile.ZipFile(download.value.path()).extractall(tmp_path / "design")
