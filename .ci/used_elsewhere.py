@@ -9,6 +9,7 @@ _.disableflags
 _.explicitinertial
 _.forcelimited
 _.forcerange
+_.fromto
 _.fullinertia
 _.intprm
 _.ipos
@@ -63,8 +64,9 @@ _.writing
 _.account
 _.constraint
 
-# Asked for by name: the websocket by the server, the environments by Gymnasium and by other libraries.
+# Asked for by name: the websocket by the server, what becomes of a broken pipe by rich, the environments by Gymnasium and by other libraries.
 _.bridge
+_.on_broken_pipe
 _.TaskEnv
 _.TaskVectorEnv
 _.np_random_seed
@@ -73,6 +75,7 @@ _.render
 
 # Tests look through them.
 _.charts
+_.verify
 
 # Classes that the catalogue finds in their folder, by name.
 _.CmaesRl
@@ -110,6 +113,9 @@ _.up_direction
 # viser asks a message for these.
 _.entity_state_key
 _.redundancy_key
+
+# rich calls it.
+_.on_broken_pipe
 
 # ONNX Runtime reads what is set on its options.
 _.intra_op_num_threads

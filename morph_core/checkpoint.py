@@ -1,10 +1,8 @@
 """Checkpoints: the whole State as safetensors and JSON, there whole or not at all."""
 
-import json
 from collections.abc import Mapping
 
 import msgspec
-import numpy as np
 import torch
 from safetensors.torch import load, save
 from torch import Tensor, nn
@@ -13,8 +11,9 @@ from morph_core import durable, inside
 from morph_core.config import Alpha, check_value
 from morph_core.design import DesignSpace
 from morph_core.method import Method
+from morph_core.origin import read_saved
 from morph_core.protocol import Parameter
-from morph_core.run_folder import CHECKPOINT, STATE_BYTES, WEIGHTS_BYTES, RunFolder, RunFolderError, foreign
+from morph_core.run_folder import CHECKPOINT, RunFolder, RunFolderError, foreign, sealed
 from morph_core.state import State, start
 from morph_core.task import Task
 
@@ -30,7 +29,8 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
     inside.folder(folder.path, "checkpoints")
     with durable.replaced_folder(folder.checkpoint(state.iteration)) as draft:
         # Not save_file: its files are their owner's alone, whatever the umask, and a group could not go on with a run.
-        (draft / "weights.safetensors").write_bytes(save(tensors_of(state)))
+        weights = save(tensors_of(state))
+        (draft / "weights.safetensors").write_bytes(weights)
         facts = {
             "iteration": state.iteration,
             "env_steps": state.env_steps,
@@ -49,7 +49,7 @@ def save_checkpoint(folder: RunFolder, state: State, cpu_seconds: float) -> None
             "rng": state.rng.bit_generator.state,
             "cpu_seconds": cpu_seconds,
         }
-        (draft / "state.json").write_text(json.dumps(facts))
+        (draft / "state.json").write_bytes(sealed(facts, weights))
 
 
 def recover_checkpoints(folder: RunFolder) -> None:
@@ -60,10 +60,9 @@ def recover_checkpoints(folder: RunFolder) -> None:
 
 def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Method) -> tuple[State, float]:
     """Return the state after `iteration` and the CPU seconds it took; RunFolderError says what is damaged."""
-    path = f"checkpoints/{iteration:06d}"
     with foreign(f"checkpoint {iteration} of {folder.id}"):
-        facts = json.loads(inside.read(folder.path, f"{path}/state.json", STATE_BYTES))
-        tensors = load(inside.read(folder.path, f"{path}/weights.safetensors", WEIGHTS_BYTES))
+        facts, files = read_saved(folder, iteration)
+        tensors = load(files["weights.safetensors"])
         if facts["iteration"] != iteration:
             raise ValueError(f"it says that it is of iteration {facts['iteration']}")
         space = DesignSpace(tuple(msgspec.convert(facts["parameters"], list[Parameter])))
@@ -80,8 +79,8 @@ def load_checkpoint(folder: RunFolder, iteration: int, task: Task, method: Metho
         state.memory.recall(facts.get("memory", {}))
         restore(state.modules, state.optimizers, tensors)
         state.notes.recall({k.removeprefix(NOTES): v.numpy() for k, v in tensors.items() if k.startswith(NOTES)})
-        if not all_finite(state):
-            raise ValueError("a weight or phi is infinite or NaN")
+        if damage := damage_of(state):
+            raise ValueError(damage)
         return state, float(facts["cpu_seconds"])
 
 
@@ -133,7 +132,18 @@ def restore(
         optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
 
 
-def all_finite(state: State) -> bool:
-    """Tell whether phi and every weight are finite."""
-    weights = (p for module in state.modules.values() for p in module.parameters())
-    return bool(np.isfinite(state.phi).all()) and all(bool(torch.isfinite(p).all()) for p in weights)
+def damage_of(state: State) -> str:
+    """Return in words what of a state no iteration can begin with: phi outside its box, a weight or what an optimiser
+    remembers that is NaN or infinite. Return nothing where all is well."""
+    try:
+        state.design_space.check(state.phi)
+    except ValueError as error:
+        return f"the design phi left its box: {error}"
+    for name, module in state.modules.items():
+        if not all(bool(torch.isfinite(p).all()) for p in module.parameters()):
+            return f"a weight of {name} became infinite or NaN"
+    for name, optimizer in state.optimizers.items():
+        moments = (moment for entry in optimizer.state.values() for moment in entry.values())
+        if not all(bool(torch.isfinite(moment).all()) for moment in moments):
+            return f"what Adam remembers of the gradients of {name} became infinite or NaN"
+    return ""

@@ -1,5 +1,6 @@
 """Policy and critic with their optimiser, and how they learn: PPO (Schulman et al. 2017)."""
 
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -91,11 +92,12 @@ class Control:
         ppo, policy, critic = self._ppo, self.policy, self.critic
         mean, value = Passes(policy.mean), Passes(critic.value)
         of_policy, of_critic = list(policy.parameters()), list(critic.parameters())
+        told = critic.told(batch.observation, batch.time)
         for _ in range(ppo.epochs):
             for index in minibatches(len(batch), ppo.minibatches, rng):
                 some = batch.of(index)
                 self._set_policy_gradient(mean, some)
-                value_error = value.forward(critic.told(some.observation, some.time)) - some.value_target[:, None]
+                value_error = value.forward(told.index_select(0, index)) - some.value_target[:, None]
                 value.backward(value_error * (1 / len(some)))  # of half the mean square
                 nn.utils.clip_grad_norm_(of_policy, ppo.max_grad_norm)
                 nn.utils.clip_grad_norm_(of_critic, 2 * ppo.max_grad_norm)
@@ -138,8 +140,10 @@ class Control:
 
         Return the standardised advantages (B,) float32 of the steps alive.
         """
+        began = time.monotonic()
         batch = self.batch(rollout)
         self.improve(batch, iteration - state.control_start, state.rng)
+        state.learnt_in = time.monotonic() - began
         self._restart_where_stuck(state, rollout, iteration)
         return batch.advantage.numpy()
 

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,6 +23,7 @@ from morph_core.run_folder import (
     RunFolderError,
     find_run,
     foreign,
+    unsealed,
 )
 
 _SAVED = {"state.json": STATE_BYTES, "weights.safetensors": WEIGHTS_BYTES}
@@ -99,8 +101,8 @@ def origin_at(history: History, iteration: int | None = None) -> Origin:
         return Origin(folder.id, record, asked, None, history.at(0), 0)
     try:
         with foreign(f"checkpoint {saved[-1]} of {folder.id}"):
-            files = _read(folder, saved[-1])
-            facts = msgspec.json.decode(files["state.json"], type=_Facts)
+            written, files = read_saved(folder, saved[-1])
+            facts = msgspec.convert(written, _Facts)
             space = DesignSpace(tuple(facts.parameters))
             in_force = InForce(space, space.check(facts.phi), facts.alpha, facts.projection)
             weights = safetensors.numpy.load(files["weights.safetensors"])
@@ -127,13 +129,17 @@ def taken_along(folder: RunFolder, record: RunRecord) -> RunFolder | None:
     return find_run(folder.path / ORIGIN, record.parent.run)
 
 
-def _read(folder: RunFolder, iteration: int) -> dict[str, bytes]:
-    """Return the files of a checkpoint; the trainer may be putting a newer one of the same iteration in its place."""
+def read_saved(folder: RunFolder, iteration: int) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Return the facts and the files of a checkpoint; OSError or ValueError where it is not there, or not whole.
+
+    The trainer may be putting a newer one of the same iteration in its place.
+    """
+    path = f"checkpoints/{iteration:06d}"
     for tries_left in reversed(range(_TRIES)):
         try:
-            path = f"checkpoints/{iteration:06d}"
-            return {name: inside.read(folder.path, f"{path}/{name}", most) for name, most in _SAVED.items()}
-        except FileNotFoundError:
+            files = {name: inside.read(folder.path, f"{path}/{name}", most) for name, most in _SAVED.items()}
+            return unsealed(files["state.json"], files["weights.safetensors"]), files
+        except (FileNotFoundError, ValueError):
             if not tries_left:
                 raise
             time.sleep(0.05)

@@ -43,19 +43,33 @@ class Pace:
         return _mean(self._env_steps)
 
     def left(
-        self, iterations: int, searches: float = 0.0, evaluations: float = 0.0, expected: float = 0.0
+        self,
+        iterations: float,
+        searches: float = 0.0,
+        evaluations: float = 0.0,
+        expected: float = 0.0,
+        settled: float = 0.0,
+        alone: float = 0.0,
     ) -> float | None:
         """Return the seconds that so many iterations, the searches in them and evaluations beside them will take.
 
-        An evaluation takes the `expected` seconds as long as none was timed. None before the first iteration.
+        `settled` of the iterations come after phi is frozen, when the policy learns `alone`, which takes that many
+        seconds, or as long as before if that is less. An evaluation takes the `expected` seconds as long as none was
+        timed. None before the first iteration.
         """
         if self._first is None:
             return None
         # Much is done for the first time in the first one: it counts as long as there is no other.
         plain = _mean(self._plain) or self._first
         search = _mean(self._searches) or 0.0
-        evaluated = _mean(self._evaluated) or expected
-        return plain * iterations + search * searches + evaluated * evaluations
+        evaluated = self.evaluation or expected
+        before = plain * (iterations - settled) + min(alone, plain) * settled
+        return before + search * searches + evaluated * evaluations
+
+    @property
+    def evaluation(self) -> float | None:
+        """Return the seconds of an evaluation; None before the first one."""
+        return _mean(self._evaluated)
 
 
 def _newest(values: Sequence[float], value: float, most: int) -> Sequence[float]:

@@ -17,6 +17,10 @@ Measure = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
 """A value of a design parameter in its unit: no robot has larger ones."""
 Rate = Annotated[float, msgspec.Meta(ge=0, le=1)]
 """A share of episodes."""
+Real = Annotated[float, msgspec.Meta(ge=-1e100, le=1e100)]
+"""A number that was measured: sums and squares of such numbers are finite, and no single-precision number is larger."""
+Moment = Annotated[float, msgspec.Meta(ge=0, le=2.5e11)]
+"""A time in seconds since the epoch, before the year 10000: calendars have no later ones."""
 
 Status = Literal[
     "queued", "starting", "running", "pausing", "paused", "stopped", "finished", "failed", "lost", "unreadable"
@@ -149,7 +153,7 @@ class Event(msgspec.Struct, frozen=True, tag_field="kind", kw_only=True):
     """Base of all events; `seq` rises by one within a run, `time` is seconds since the epoch."""
 
     seq: Whole = 0
-    time: float = 0.0
+    time: Moment = 0.0
 
 
 class StateChanged(Event, tag="state", frozen=True):
@@ -171,24 +175,24 @@ class Progress(Event, tag="progress", frozen=True):
     env_steps: Whole
     """Environment steps so far, on Hw-Phy and in the proxy's world alike."""
     phi: list[Measure]
-    episode_return: float
+    episode_return: Real
     """Mean undiscounted return of the iteration's trajectories, over the designs that were explored."""
     success: Rate
     """Share of the iteration's trajectories that reached the goal."""
-    policy_std: float
-    design_sigma: float | None = None
-    divergence: float | None = None
+    policy_std: Real
+    design_sigma: Real | None = None
+    divergence: Real | None = None
     """D: mean squared distance of Hw-Phy with the present phi and the proxy on sampled (s, a)."""
-    search_cost: float | None = None
+    search_cost: Real | None = None
     """Divergence of Hw-Phy from the dataset after the search for phi."""
-    cosine: float | None = None
+    cosine: Real | None = None
     """S_c: mean cosine of g_task and g_hw over psi."""
-    cosine_negative: float | None = None
+    cosine_negative: Real | None = None
     """Share of this iteration's gradient steps with a negative cosine."""
-    cosine_by_parameter: list[float | None] | None = None
+    cosine_by_parameter: list[Real | None] | None = None
     """Mean cosine of both gradients along the direction in which each design parameter moves z; None where Hw-Phy is
     not differentiable."""
-    alpha: float | None = None
+    alpha: Real | None = None
     projection: Projection | None = None
     frozen: bool = False
     """Whether phi stays as it is from here on, because episodes succeed often enough."""
@@ -201,7 +205,7 @@ class Progress(Event, tag="progress", frozen=True):
     """Steps of Hw-Phy so far that the search for phi took."""
     diverged: Whole = 0
     """Episodes so far that were left out because their simulation diverged."""
-    cpu_seconds: float = 0.0
+    cpu_seconds: Real = 0.0
     """CPU time of the trainer since its first iteration, all resumes summed."""
 
     def _repr_html_(self) -> str:
@@ -234,7 +238,7 @@ class Recorded(msgspec.Struct, frozen=True):
     """What one of the recorded episodes came to."""
 
     which: Which
-    episode_return: float
+    episode_return: Real
     success: bool
 
 
@@ -245,9 +249,9 @@ class Evaluation(Event, tag="evaluation", frozen=True):
     env_steps: Whole
     phi: list[Measure]
     sampled_success: Rate
-    sampled_return: float
+    sampled_return: Real
     deterministic_success: Rate
-    deterministic_return: float
+    deterministic_return: Real
     milestones: dict[str, Rate] = {}
     """Shares of the sampled episodes that reached each milestone before the goal, by the rule of success."""
     diverged: Whole = 0
@@ -255,11 +259,11 @@ class Evaluation(Event, tag="evaluation", frozen=True):
     episode: str | None = None
     recorded: list[Recorded] = []
     """Episodes that the file holds; empty where it holds a single one, as those of earlier versions do."""
-    reward_terms: dict[str, float] = {}
+    reward_terms: dict[str, Real] = {}
     """Terms of the reward, summed over a sampled episode: their means, which add up to the return."""
-    return_interval: tuple[float, float] | None = None
+    return_interval: tuple[Real, Real] | None = None
     """Interval of the mean return of the sampled policy, at 95 %; None in a run that did not write it down."""
-    cpu_seconds: float = 0.0
+    cpu_seconds: Real = 0.0
     episodes: Whole | None = None
     """Number of episodes of each kind, sampled and deterministic; None in a run that did not write it down."""
     final: bool = False
@@ -310,9 +314,9 @@ class Heartbeat(msgspec.Struct, frozen=True):
     host: str
     pid: int
     """Number of the trainer's process on `host`."""
-    process_started: float
+    process_started: Moment
     """Start time of the trainer's process (seconds since the epoch), so that a reused pid is not taken for it."""
-    time: float
+    time: Moment
     status: Status
     stage: str
     """Words for what is done: "loading", "fitting the proxy", "collecting and learning", "evaluating", "saving"."""
@@ -320,7 +324,7 @@ class Heartbeat(msgspec.Struct, frozen=True):
     iterations: Whole
     """Iterations after which the run ends, estimated where its budget of environment steps ends it sooner."""
     env_steps: Whole = 0
-    eta_seconds: float | None = None
+    eta_seconds: Real | None = None
     message: str = ""
 
 
@@ -355,7 +359,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     versions: dict[str, str]
     git_revision: str | None = None
     git_dirty: bool | None = None
-    created: float
+    created: Moment
     parent: Parent | None = None
     begins_at: Whole = 0
     """Iteration from which the run counts on: that of the checkpoint which a branch with its parent's method took."""

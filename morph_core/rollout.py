@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from morph_core.soundness import check_steps
 from morph_core.task import Hardware, Task
 
 Act = Callable[[np.ndarray], np.ndarray]
@@ -72,7 +73,8 @@ class Rollout:
 def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray, phi_seen: np.ndarray | None = None) -> Rollout:
     """Run N episodes from start states s (N, state_size) in the world of `hardware`.
 
-    `phi_seen` (N, k) float32, where it is given, stands at the end of every observation of its episode.
+    `phi_seen` (N, k) float32, where it is given, stands at the end of every observation of its episode. Raise
+    FloatingPointError that names the number which is NaN, infinite or too large to learn from, if there is one.
     """
     began, alive = time.monotonic(), np.ones(len(s), dtype=bool)
     kept = alive.copy()
@@ -82,7 +84,8 @@ def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray, phi_seen: n
         if phi_seen is not None:
             observation = np.concatenate([observation, phi_seen], 1)
         action = act(observation)
-        transition = task.step(hardware, s, action)
+        # What has ended rests: some tasks take longer over a move, and nothing of it is read.
+        transition = task.step(hardware, s, np.where(alive[:, None], action, np.float32(0)))
         steps.append((s, observation, action, transition, alive))
         kept = kept & ~(transition.diverged & alive)
         s, alive = transition.s, alive & ~transition.terminated & ~transition.diverged
@@ -97,7 +100,7 @@ def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray, phi_seen: n
         return {name: stack(table[name] for table in tables) for name in tables[0]}
 
     success = stack(t.success & life for t, life in zip(transitions, lives, strict=True))
-    return Rollout(
+    rollout = Rollout(
         s=stack(states),
         observation=stack(observations),
         action=stack(actions),
@@ -115,6 +118,16 @@ def collect(task: Task, act: Act, hardware: Hardware, s: np.ndarray, phi_seen: n
         steps=int(np.sum(lives)),
         seconds=time.monotonic() - began,
     )
+    terms = {f"the term {name} of the reward": term for name, term in rollout.reward_terms.items()}
+    check_steps(
+        {
+            "the state s": rollout.s, "the observation": rollout.observation, "the policy's action": rollout.action,
+            "the executed action a": rollout.a, "the hardware's output z": rollout.z, **terms,
+            "the reward": rollout.reward,
+        },
+        rollout.alive,
+    )  # fmt: skip
+    return rollout
 
 
 def advantages(rollout: Rollout, values: np.ndarray, gamma: float, gae_lambda: float) -> np.ndarray:

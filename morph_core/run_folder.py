@@ -2,7 +2,9 @@
 
 import contextlib
 import fcntl
+import hashlib
 import io
+import json
 import os
 import platform
 import re
@@ -11,6 +13,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -42,6 +45,10 @@ UNPACKED_BYTES = 1 << 30
 LONGEST_SENDER = 200
 """Largest number of characters that are kept of who sent a command."""
 _ORDER = re.compile(r"[0-9]{1,12}\.json")
+_LAST_EVENT = 10**15
+"""Number of an event from which on no run counts further; no reader takes one beyond 2^53."""
+_LAST_ORDER = 10**9
+"""Largest number of a command that others are counted on from; a log from elsewhere may hold any."""
 ITERATION = re.compile(r"[0-9]{1,12}")
 """What a word is like that names an iteration."""
 CHECKPOINT = re.compile(r"[0-9]{6,12}")
@@ -207,7 +214,7 @@ class RunFolder:
         inside.folder(self.path, "commands")
         taken = [int(name[:-5]) for name in self._orders()]
         acknowledged = [e.id for e in self.read_events()[0] if isinstance(e, protocol.Acknowledged)]
-        number = max(taken + acknowledged, default=0) + 1
+        number = max((known for known in taken + acknowledged if known < _LAST_ORDER), default=0) + 1
         while True:
             draft = self.commands / f".{number:06d}.{os.getpid()}.{time.monotonic_ns()}"
             durable.write_file(draft, protocol.encode(Order(number, command, sender[:LONGEST_SENDER])))
@@ -230,6 +237,29 @@ class RunFolder:
 
     def _orders(self) -> list[str]:
         return [name for name in self._names("commands") if _ORDER.fullmatch(name)]
+
+
+def sealed(facts: Mapping[str, object], weights: bytes) -> bytes:
+    """Return a checkpoint's facts as its state.json holds them: with the checksums of its weights and of themselves."""
+    whole = {**facts, "weights_sha256": hashlib.sha256(weights).hexdigest()}
+    return json.dumps({**whole, "sha256": _sum_of(whole)}).encode()
+
+
+def unsealed(state: bytes, weights: bytes) -> dict[str, Any]:
+    """Return the facts of a state.json. Raise ValueError where it, or the weights, are not as they were written.
+
+    Those of older versions have no checksums, and are taken as they are.
+    """
+    facts = json.loads(state)
+    if facts.pop("sha256", None) not in (None, _sum_of(facts)):
+        raise ValueError("its state.json is not as it was written: damaged, or changed by hand")
+    if facts.pop("weights_sha256", None) not in (None, hashlib.sha256(weights).hexdigest()):
+        raise ValueError("its weights are not as they were written: damaged, or of another checkpoint")
+    return facts
+
+
+def _sum_of(facts: Mapping[str, object]) -> str:
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
 def process_alive(pid: int, started: float) -> bool:
@@ -268,13 +298,22 @@ def passed_over(runs: Path) -> dict[str, str]:
     """Return the names of folders in `runs` that may be runs and yet can't be opened, each with the reason."""
     found = {}
     for entry in _entries(runs):
-        name = os.fsencode(entry.name).decode(errors="backslashreplace")  # may hold what is no character
-        if entry.is_symlink() and entry.is_dir():
-            found[name] = "it is a link to a folder elsewhere: move the folder itself to here"
-        elif entry.is_dir() and not RUN_ID.fullmatch(entry.name) and (Path(entry.path) / "run.json").is_file():
-            allowed = "letters, digits, dot, dash and underscore, at most 128"
-            found[name] = f"its name has other characters than {allowed}: rename the folder"
+        try:
+            why = _why_passed_over(entry)
+        except OSError as error:  # a link that leads to itself, or into what others own
+            why = f"it can't be looked into: {error.strerror}"
+        if why:
+            found[os.fsencode(entry.name).decode(errors="backslashreplace")] = why  # may hold what is no character
     return found
+
+
+def _why_passed_over(entry: os.DirEntry[str]) -> str:
+    """Return why a folder that may be a run can't be opened; nothing for a run, and for what is not meant as one."""
+    if entry.is_symlink() and entry.is_dir():
+        return "it is a link to a folder elsewhere: move the folder itself to here"
+    if entry.is_dir() and not RUN_ID.fullmatch(entry.name) and (Path(entry.path) / "run.json").is_file():
+        return "its name has other characters than letters, digits, dot, dash and underscore, at most 128: rename it"
+    return ""
 
 
 def _entries(runs: Path) -> list[os.DirEntry[str]]:
@@ -361,13 +400,22 @@ class EventLog:
     def __init__(self, folder: RunFolder) -> None:
         events, self._end = folder.read_events()
         self.seq = max((e.seq for e in events), default=0)
+        if self.seq >= _LAST_EVENT:
+            raise RunFolderError(f"events.jsonl of {folder.id} counts up to {self.seq}: no event can follow that")
         self._fd = inside.open_plain(folder.path, "events.jsonl", os.O_RDWR | os.O_CREAT)
         os.ftruncate(self._fd, self._end)  # a torn last line of a killed trainer
 
     def append(self, event: AnyEvent) -> AnyEvent:
-        """Write one event with the next `seq`; on OSError the log is as it was before."""
+        """Write one event with the next `seq`; on OSError the log is as it was before.
+
+        Raise FloatingPointError for one that no reader would take: a number in it is NaN, infinite or too large.
+        """
         stamped = msgspec.structs.replace(event, seq=self.seq + 1, time=time.time())
         line = protocol.encode(stamped) + b"\n"
+        try:
+            protocol.decode_event(line)
+        except msgspec.ValidationError as error:
+            raise FloatingPointError(f"a number that was to be recorded is none that can be read: {error}") from error
         try:
             inside.write_at(self._fd, line, self._end)
         except OSError:

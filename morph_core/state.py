@@ -62,6 +62,8 @@ class State:
     """The last iteration in which episodes reached the first milestone of the task."""
     collected_in: float = 0.0
     """Time that the trajectories of the last iteration took, in seconds; no checkpoint holds it."""
+    learnt_in: float = 0.0
+    """Time that policy and critic learnt in the last iteration, in seconds; no checkpoint holds it."""
     searched_in: float = 0.0
     """Time that the last search for phi took, in seconds; no checkpoint holds it."""
 

@@ -24,7 +24,7 @@ import torch
 from morph_core import protocol
 from morph_core.beginning import begin
 from morph_core.catalogue import make_task, read_method
-from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
+from morph_core.checkpoint import damage_of, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.edits import AnyEdit, edited
 from morph_core.episodes import Score, evaluate, outcomes, record_episodes
 from morph_core.history import History, InForce, merit
@@ -97,7 +97,8 @@ class Trainer:
         self._budget = None if (further or until) is not None else self._record.env_steps
         self._longest_iteration = 1  # environment steps
         self._method: Method | None = None
-        self._is_searching, self._collected_in = True, 0.0
+        self._state: State | None = None
+        self._is_searching, self._collected_in, self._learnt_in = True, 0.0, 0.0
         self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
         self._best: Evaluation | None = None
@@ -118,7 +119,7 @@ class Trainer:
         method.check(task)
         self._longest_iteration = method.trajectories * task.horizon
         state = self._load(task, method)
-        self._method = method
+        self._method, self._state = method, state
         if not self._is_done(state):
             self._enter("running", "fitting the proxy" if state.proxy and not state.fitted else _LEARNING)
             self._between_iterations(state)
@@ -126,6 +127,7 @@ class Trainer:
             method.prepare(task, state)  # no part of an iteration: what others take is not known from it
             self._set("running", _LEARNING)
             began, steps = time.monotonic(), state.env_steps
+            _refuse_damage(state)
             for progress in method.iterations(task, state):
                 searching = state.searched_in if progress.search_cost is not None else None
                 self._pace.took(time.monotonic() - began, state.env_steps - steps, searching)
@@ -133,6 +135,7 @@ class Trainer:
                 self._between_iterations(state)
                 if self._stopping or self._is_done(state):
                     break
+                _refuse_damage(state)
                 began, steps = time.monotonic(), state.env_steps
         if self._is_done(state):
             if self._record.final_episodes:
@@ -146,6 +149,21 @@ class Trainer:
     def stop(self) -> None:
         """End after the present iteration, with a checkpoint."""
         self._stopping = True
+
+    def reason(self, error: Exception) -> str:
+        """Return in words why the run ends: what has become NaN or infinite, where it did, not what that led to."""
+        unsound = isinstance(error, FloatingPointError)
+        words = str(error) if unsound else f"{type(error).__name__}: {error}".removesuffix(": ")
+        damage = damage_of(self._state) if self._state and not isinstance(error, OSError | MemoryError) else ""
+        if damage and damage != words:
+            words = f"{damage} ({words})"
+        return f"{words}, in {self._where}" if damage or unsound else words
+
+    @property
+    def _where(self) -> str:
+        if self._stage.startswith("evaluating"):
+            return f"the evaluation after iteration {self._iteration}"
+        return f"iteration {self._iteration + 1}"
 
     def fail(self, reason: str) -> None:
         """Say why the run ends; where not even that can be written, the heartbeat still says it."""
@@ -209,17 +227,17 @@ class Trainer:
         return min(remaining, math.ceil(max(0, self._budget - self._env_steps) / max(1.0, steps)))
 
     @property
-    def _last_search(self) -> float:
-        """Return the iteration after which no search for phi is expected any more.
+    def _freezes_at(self) -> float:
+        """Return the iteration after which success is expected to have frozen phi, which ends the searches, and all
+        that serves them.
 
-        Success freezes phi, and so ends the searches: when, is guessed. Where a budget of steps ends the run nothing
-        is taken off: success may make episodes shorter, too, and so iterations more.
+        When it will is guessed. Where a budget of steps ends the run nothing is taken off: success may make episodes
+        shorter, too, and so iterations more.
         """
         method = self._method
         if method is None or self._budget is not None or not method.freezes:
             return math.inf
-        planned = method.schedule.iterations
-        left = planned - self._iteration
+        left = method.schedule.iterations - self._iteration
         return self._iteration + _SEARCHED * left if left > 0 else math.inf
 
     def _seconds_left(self, remaining: int) -> float | None:
@@ -228,12 +246,17 @@ class Trainer:
             return None
         evaluation, every = self._method.evaluation, self._method.search_interval
         first, last = self._iteration, self._iteration + remaining
-        searches = min(last, self._last_search) // every - first // every if every > 1 and self._is_searching else 0
+        frozen_at = min(last, self._freezes_at) if self._is_searching else last
+        searches = frozen_at // every - first // every if self._is_searching else 0
         evaluations = last // evaluation.interval - first // evaluation.interval
         evaluations += remaining > 0 and last % evaluation.interval > 0  # each run ends with one
         at_the_end = self._record.final_episodes / evaluation.episodes
-        expected = 2 * evaluation.episodes / self._method.trajectories * self._collected_in
-        return self._pace.left(remaining, searches, evaluations + at_the_end, expected)
+        shares = 2 * evaluation.episodes / self._method.trajectories  # of an evaluation, in iterations' trajectories
+        on_hw_phy = min(self._collected_in, (self._pace.evaluation or math.inf) / shares)
+        return self._pace.left(
+            remaining, searches, evaluations + at_the_end, expected=shares * self._collected_in,
+            settled=last - frozen_at, alone=on_hw_phy + self._learnt_in,
+        )  # fmt: skip
 
     # --- one iteration ---
 
@@ -292,10 +315,12 @@ class Trainer:
 
     def _take_in(self, task: Task, method: Method, state: State, progress: Progress) -> None:
         """Record an iteration; evaluate and save where it is due."""
-        if not all_finite(state) or not np.isfinite(progress.episode_return):
-            raise FloatingPointError(f"a value became infinite or NaN in iteration {progress.iteration}")
+        _refuse_damage(state)
+        if not np.isfinite(progress.episode_return):
+            raise FloatingPointError("the mean return became infinite or NaN")
         self._iteration, self._env_steps = state.iteration, state.env_steps
-        self._is_searching, self._collected_in = not state.frozen, state.collected_in
+        self._is_searching = not state.frozen
+        self._collected_in, self._learnt_in = state.collected_in, state.learnt_in
         progress = msgspec.structs.replace(
             progress, relabelled_steps=state.relabelled_steps, search_steps=state.search_steps,
             diverged=state.diverged, cpu_seconds=self._cpu_seconds,
@@ -459,6 +484,12 @@ class Trainer:
                 return result
 
 
+def _refuse_damage(state: State) -> None:
+    """Raise FloatingPointError that names what no iteration can begin with."""
+    if damage := damage_of(state):
+        raise FloatingPointError(damage)
+
+
 def apply_edit(command: AnyEdit, state: State, task: Task) -> str:
     """Put a command in force and return the sentence that says so; raise ValueError, the state unchanged, if it is not
     allowed."""
@@ -491,7 +522,7 @@ def train(folder: RunFolder, further: int | None = None, until: int | None = Non
             return 1
         except Exception as error:
             traceback.print_exc()
-            reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+            reason = trainer.reason(error)
             with contextlib.suppress(OSError, RunFolderError):  # then the run fails without it
                 reason += trainer.take_back(error)
             trainer.fail(reason)

@@ -28,9 +28,10 @@ def earlier_edits(history: History) -> str:
         return ""
     at = edits[-1].iteration
     asked = ", ".join(e.message for e in edits if e.iteration == at)
+    before = f": morph-studio train --branch {history.folder.id}@{at - 1}" if at > history.begins_at else ""
     return (
         f"; in force since iteration {at} is what was asked for then ({asked}): where that is why, ask for something "
-        "else, which is obeyed when the run is resumed, or branch from before"
+        f"else, which is obeyed when the run is resumed, or branch from before{before}"
     )
 
 

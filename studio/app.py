@@ -1,6 +1,7 @@
 """The web application: one FastAPI around the runs, the viewer and the shell page; and the server that runs it."""
 
 import contextlib
+import functools
 import html
 import logging
 import secrets
@@ -10,7 +11,7 @@ import threading
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import anyio
 import msgspec
@@ -23,15 +24,17 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.exceptions import HTTPException
 from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp
 
 from morph_core.history import History
+from morph_core.inside import NotPlainError
 from morph_core.protocol import Status
 from morph_core.run_folder import RunFolderError
 from studio.album import Album
 from studio.api.audience import audience_router
 from studio.api.compare import compare_router
-from studio.api.designs import designs_router, imports_router
+from studio.api.designs import Export, designs_router, imports_router
 from studio.api.desks import desks_router
 from studio.api.docs import docs_router
 from studio.api.events import events_router
@@ -43,7 +46,7 @@ from studio.api.runs import runs_router
 from studio.api.shelf import shelf_router
 from studio.api.study import study_router
 from studio.api.tasks import tasks_router
-from studio.api.what_if import what_if_router
+from studio.api.what_if import NOBODY_THERE, what_if_router
 from studio.audience import Audience
 from studio.branches import tree_of
 from studio.bridge import MAX_MESSAGE, GuardedViser, viewer_router
@@ -60,7 +63,7 @@ from studio.patience import PatientProtocol
 from studio.prefix import Prefixed
 from studio.runs import Runs
 from studio.security import Access, Guard
-from studio.seldom import SaidOnce
+from studio.seldom import SaidOnce, Seldom
 from studio.settings import Settings
 from studio.shelf import trash
 from studio.shelf.thumbnails import Thumbnails
@@ -68,6 +71,7 @@ from studio.spectators import spectators_router
 from studio.study.live import LiveReport
 from studio.study.slurm import Slurm
 from studio.trainers import Reserve
+from studio.turns import BusyError, Turns
 from studio.viewer.viewer import Viewer
 from studio.what_if import WhatIfs
 
@@ -122,7 +126,9 @@ class _GuardedApp(FastAPI):
         return Prefixed(Guard(compressed, self.state.access), settings.root_path, settings.proxies)
 
 
-def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: Album, films: Films) -> Desks:
+def make_desks(
+    server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: Album, films: Films, export: Export = build_bundle
+) -> Desks:
     """Return the viewers of all browsers, with what their users ask for passed on to the runs."""
 
     def on_branch(run_id: str, iteration: int, phi: list[float]) -> str:
@@ -136,7 +142,7 @@ def make_desks(server: viser.ViserServer, runs: Runs, what_ifs: WhatIfs, album: 
         servo: str | None,
         printer: str | None,
     ) -> Bundle:
-        return build_bundle(runs.get(run_id), which, formats, phi, servo, printer)
+        return export(runs.get(run_id), which, formats, phi, servo, printer)
 
     def make(client: viser.ClientHandle) -> Viewer:
         width = client.camera.image_width  # of the whole page: the panels that are made now take their share of it
@@ -178,7 +184,7 @@ def create_app(
     *,
     runs: Runs | None = None,
     launcher: Slurm | None = None,
-    desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album, Films], Shows] = make_desks,
+    desks: Callable[[viser.ViserServer, Runs, WhatIfs, Album, Films], Shows] | None = None,
 ) -> FastAPI:
     """Return the application. New runs are started by `launcher`, by default as processes of this machine.
 
@@ -192,6 +198,9 @@ def create_app(
     album, films = Album(watched, thumbnails), Films(lambda run_id: watched.get(run_id).folder.path)
     stopping, boot = anyio.Event(), secrets.token_hex(8)
     access = Access(settings)
+    turns = Turns()
+    export = _in_turn(turns)
+    make = desks or functools.partial(make_desks, export=export)
     audience = Audience(access.invitation)
 
     @contextlib.asynccontextmanager
@@ -208,7 +217,7 @@ def create_app(
                     reserve.load()
             app.state.viser = GuardedViser()
             ends.callback(app.state.viser.stop)
-            app.state.desks, done = desks(app.state.viser.server, watched, what_ifs, album, films), threading.Event()
+            app.state.desks, done = make(app.state.viser.server, watched, what_ifs, album, films), threading.Event()
             ends.callback(app.state.desks.stop)
             painter = threading.Thread(
                 target=keep_showing, args=(app.state.desks, watched, done), name="desks", daemon=True
@@ -240,7 +249,7 @@ def create_app(
         tasks_router(),
         runs_router(watched),
         recorded_router(watched.recordings),
-        designs_router(watched, build_bundle),
+        designs_router(watched, export, turns),
         imports_router(watched),
         compare_router(watched),
         events_router(watched, stopping),
@@ -261,10 +270,21 @@ def create_app(
     return app
 
 
+def _in_turn(turns: Turns) -> Export:
+    """Return `build_bundle` as all browsers and the interface share it: each export waits for its turn."""
+
+    def export(*asked: Any) -> Bundle:
+        with turns.turn():
+            return build_bundle(*asked)
+
+    return export
+
+
 def keep_showing(desks: Shows, runs: Runs, done: threading.Event) -> None:
     """Hand the runs to the browsers until `done` is set; what goes wrong is logged."""
+    trouble = Seldom(_log)
     while not done.wait(SHOW_INTERVAL):
-        with _logged("showing the runs"):
+        with _logged(trouble, "showing the runs failed"):
             histories = runs.watched(desks.selected)
             desks.show(histories, runs.statuses(histories, desks.selected), runs.shown)
             if (asked := runs.take_request()) is not None:
@@ -273,17 +293,19 @@ def keep_showing(desks: Shows, runs: Runs, done: threading.Event) -> None:
 
 def keep_starting(runs: Runs, done: threading.Event) -> None:
     """Start the runs that wait for a trainer, as soon as there is room, until `done` is set."""
+    trouble = Seldom(_log)
     while not done.wait(QUEUE_INTERVAL):
-        with _logged("starting what waits"):
+        with _logged(trouble, "starting what waits failed"):
             runs.tend()
 
 
 @contextlib.contextmanager
-def _logged(doing: str) -> Iterator[None]:
+def _logged(trouble: Seldom, sentence: str) -> Iterator[None]:
+    """Write what goes wrong into the log, once a minute: it may go wrong again at once."""
     try:
         yield
     except Exception:
-        _log.exception("%s failed", doing)
+        trouble.warn(sentence, traceback=True)
 
 
 def _add_pages(app: FastAPI, boot: str) -> None:
@@ -303,8 +325,12 @@ def _add_pages(app: FastAPI, boot: str) -> None:
 def _add_refusals(app: FastAPI) -> None:
     """Answer what is asked wrongly with a sentence, and what the disk refuses without a traceback."""
 
-    def refuse(status: int) -> Callable[[Request, Exception], Response]:
-        return lambda _, error: JSONResponse({"detail": str(error)}, status)
+    def refuse(status: int, headers: Mapping[str, str] | None = None) -> Callable[[Request, Exception], Response]:
+        return lambda _, error: JSONResponse({"detail": str(error)}, status, headers)
+
+    def refuse_by_disk(_: Request, error: Exception) -> Response:
+        why = str(error) if isinstance(error, NotPlainError) else getattr(error, "strerror", None) or str(error)
+        return JSONResponse({"detail": f"the disk with the runs refuses: {why}"}, 503)
 
     def refuse_parameters(_: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)
@@ -324,8 +350,10 @@ def _add_refusals(app: FastAPI) -> None:
     app.add_exception_handler(RunFolderError, refuse(404))
     app.add_exception_handler(ValueError, refuse(422))
     app.add_exception_handler(RequestValidationError, refuse_parameters)
-    app.add_exception_handler(OSError, refuse(503))
+    app.add_exception_handler(OSError, refuse_by_disk)
+    app.add_exception_handler(BusyError, refuse(503, {"Retry-After": "60"}))
     app.add_exception_handler(EvaluatorError, refuse(503))
+    app.add_exception_handler(ClientDisconnect, lambda *_: Response(status_code=NOBODY_THERE))
 
 
 class _Server(uvicorn.Server):

@@ -20,6 +20,7 @@ from viser.infra import Message
 from morph_core.history import History
 from studio.desks import Presenting
 from studio.invitation import AUDIENCE, Invitation
+from studio.seldom import Seldom
 from studio.viewer.presented import Presented, curves_of
 from studio.viewer.scene import seen_elsewhere
 from studio.viewer.scene_copy import SceneCopy, frame_of, removal_of
@@ -307,13 +308,14 @@ class Audience:
             await self._came.next.wait()
 
     async def _watch_scene(self, desks: Presents) -> None:
+        trouble = Seldom(_log)
         while True:
             await self._somebody()
             whole = True
             try:
                 whole = self._look(desks.presenting(self._presenter))
             except Exception:
-                _log.exception("the scene could not be shown to the audience")
+                trouble.warn("the scene could not be shown to the audience", traceback=True)
             await anyio.sleep(1 / SCENES_A_SECOND if whole else _HALF_A_FRAME)
 
     def _look(self, presenting: Presenting | None) -> bool:
@@ -349,14 +351,14 @@ class Audience:
             self._phase = "left"
 
     async def _watch_words(self, desks: Presents) -> None:
-        turn = 0
+        turn, trouble = 0, Seldom(_log)
         while True:
             await self._somebody()
             turn += 1
             try:
                 await self._listen(desks.presenting(self._presenter), turn % _CURVES_EVERY == 1)
             except Exception:
-                _log.exception("what is shown could not be said to the audience")
+                trouble.warn("what is shown could not be said to the audience", traceback=True)
             await anyio.sleep(_WORDS_INTERVAL)
 
     async def _listen(self, presenting: Presenting | None, with_curves: bool) -> None:

@@ -4,7 +4,7 @@ import logging
 import threading
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import msgspec
 import viser
@@ -12,6 +12,7 @@ import viser
 from morph_core.history import History
 from morph_core.protocol import Status
 from studio.credentials import KEY
+from studio.seldom import Seldom
 from studio.viewer import wording
 from studio.viewer.scene_copy import SceneCopy
 from studio.viewer.view import Seen, View
@@ -34,6 +35,7 @@ class _Desk:
     scene: SceneCopy
     viewer: Viewer | None = None
     begin: View | None = None
+    trouble: Seldom = field(default_factory=lambda: Seldom(log))
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,8 @@ class Desks:
                 if begin is not None:
                     viewer.put_back(begin if begin.run else msgspec.structs.replace(begin, run=current, iteration=None))
                 viewer.show(histories, statuses)
-            except Exception:  # one browser's trouble is not another's
-                log.exception("showing the runs to browser %s failed", desk.client.client_id)
+            except Exception:  # one browser's trouble is not another's, and may come again five times a second
+                desk.trouble.warn(f"showing the runs to browser {desk.client.client_id} failed", traceback=True)
 
     def turn_to(self, run_id: str, iteration: int | None) -> None:
         """Let every browser show this run, and the design of an iteration."""
@@ -97,7 +99,9 @@ class Desks:
         """Let the browser of this key show something, now or as soon as it comes."""
         self._keep(key, view)
         for desk, viewer in self._seated():
-            if desk.key == key:
+            if desk.key == key and desk.begin is not None:
+                desk.begin = view  # else what it was to begin with would come after this
+            elif desk.key == key:
                 viewer.put_back(view)
 
     def presenting(self, key: str | None) -> Presenting | None:

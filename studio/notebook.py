@@ -118,7 +118,7 @@ class Design:
     def view(self, height: int = 720, file: str | Path | None = None) -> "View":
         """Return the design live, as `morph-studio show` writes it; a still one where nothing of it can run live.
 
-        A live page has 6 MB, which the notebook holds: with `file`, a path below the notebook's folder, it holds that
+        A live page has 5 MB, which the notebook holds: with `file`, a path below the notebook's folder, it holds that
         link alone.
         """
         try:

@@ -67,7 +67,7 @@ class Recording:
         try:
             self.history = History(folder)
             self.origin = msgspec.json.decode(inside.read(folder.path, ABOUT, _ABOUT_BYTES), type=Origin)
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError, RunFolderError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise RunFolderError(
                 f"the recorded run {folder.id} can't be read: {error}; install morph-studio anew to see it"
             ) from error

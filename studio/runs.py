@@ -288,7 +288,7 @@ class Runs:
 
         `sender` says in words who sends it and by which way, for the log.
         Kill ends its trainer, and Stop takes a run that waits out of the queue; that no trainer acknowledges: the id
-        is 0. What a run that has failed is to hold instead waits until it is resumed, and is obeyed before it goes on.
+        is 0. An edit of a run that has failed or was lost waits until it is resumed, and is obeyed before it goes on.
         """
         self._own(run_id, "steered")
         history = self.get(run_id)
@@ -304,7 +304,7 @@ class Runs:
         command = check_command(command, history.in_force, task)
         with self._histories.turn(run_id):
             alive, (status, _) = self._inquest.is_alive(history), self.status(history)
-        if not alive and not (status == "failed" and isinstance(command, AnyEdit)):  # obeyed when it is resumed
+        if not alive and not (status in ("failed", "lost") and isinstance(command, AnyEdit)):  # obeyed at its resume
             if status != "queued":
                 raise ValueError(f"{run_id} is {status}: resume it, then send commands")
             if not isinstance(command, Stop) or not slurm_launch(history.folder):

@@ -19,14 +19,16 @@ class Seldom:
         self._last = float("-inf")
         self._kept_back = 0
 
-    def warn(self, sentence: str) -> None:
-        """Write a warning, or count it."""
+    def warn(self, sentence: str, *, traceback: bool = False) -> None:
+        """Write a warning, or count it; with the traceback of the exception that is handled, as an error."""
         with self._lock:
             if self._clock() - self._last < SECONDS:
                 self._kept_back += 1
                 return
             more, self._kept_back, self._last = self._kept_back, 0, self._clock()
-        self._log.warning("%s%s", sentence, f" ({more} more since the last line)" if more else "")
+        level = logging.ERROR if traceback else logging.WARNING
+        kept_back = f" ({more} more since the last line)" if more else ""
+        self._log.log(level, "%s%s", sentence, kept_back, exc_info=traceback)
 
 
 class SaidOnce(logging.Filter):

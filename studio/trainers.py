@@ -86,10 +86,11 @@ def trainer_command(*words: str) -> list[str]:
 
 
 def trainer_environment() -> dict[str, str]:
-    """Return the environment of a trainer: one thread, this code, and no token."""
+    """Return the environment of a trainer: one thread, this code, words in UTF-8, and no token."""
     code = str(Path(morph_core.__file__).resolve().parents[1])
     environment = {name: value for name, value in os.environ.items() if name != "MORPH_TOKEN"}
     environment |= {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    environment["PYTHONIOENCODING"] = "utf-8"
     environment["PYTHONPATH"] = os.pathsep.join(p for p in (code, environment.get("PYTHONPATH")) if p)
     return environment
 

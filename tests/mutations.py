@@ -56,6 +56,7 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/control.py", "core/test_passes.py",
         ("torch.tensor(0.5)", "torch.tensor(1.0)"),
+        ("told.index_select(0, index)", "told[: len(index)]"),
         ("pulls.masked_fill_(limited == ratio, 1.0)", "pass"),
         ("(pull * (u / std)).sum(0) - ", "(pull * (u / std)).sum(0) + "),
         ("of_std * inside * log_std.exp()", "of_std * log_std.exp()"),
@@ -146,6 +147,7 @@ MUTANTS: tuple[Mutant, ...] = (
         ("alive & ~transition.terminated & ~transition.diverged", "alive & ~transition.diverged"),
         ("kept & ~(transition.diverged & alive)", "kept & ~transition.diverged"),
         ("steps=int(np.sum(lives))", "steps=int(np.size(lives))"),
+        ("np.where(alive[:, None], action, np.float32(0))", "action"),
         ("success = stack(t.success & life", "success = stack(t.success"),
         ("successes=task.solved(success)", "successes=success.any(0)"),
     ),
@@ -217,10 +219,11 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         f"{CORE}/tasks/reacher.py", "core/test_reacher.py",
         ("touches[1:] |= ", "touches[1:] &= "),
-        ("(before[1:] != before[:-1]) & ", ""),
+        ("|= crosses & ", "|= "),
+        ("if crosses.any()", "if crosses.all()"),
         ("touches = (x >= self.xs[0]) & ", "touches = "),
         ("(np.minimum(first, end) - begin) / n", "(first - begin) / n"),
-        ("posture - (begin - 1)[of]", "posture - begin[of]"),
+        ("posture - (begin - 1).repeat(count)", "posture - begin.repeat(count)"),
         ("turned[0] -= across[1]", "turned[0] += across[1]"),
     ),
     # --- explorations ---
@@ -735,6 +738,13 @@ MUTANTS: tuple[Mutant, ...] = (
         ("history.heartbeat and history.status in AT_REST", "history.status in AT_REST"),
     ),
     *_of(
+        f"{CORE}/train.py",
+        "core/test_train.py::test_searches_are_expected_to_end_where_success_freezes_phi",
+        ("min(last, self._freezes_at)", "last"),
+        ("or not method.freezes", ""),
+        ("self._iteration + _SEARCHED * left", "_SEARCHED * left"),
+    ),
+    *_of(
         f"{CORE}/pace.py", "core/test_pace.py",
         ("_mean(self._plain) or self._first", "self._first"),
         ("plain = seconds - (searching or 0.0)", "plain = seconds"),
@@ -743,8 +753,9 @@ MUTANTS: tuple[Mutant, ...] = (
         ("values[1 - most :]", "values"),
         ("if searching is not None:", "if False:"),
         ("search * searches", "0.0"),
-        ("_mean(self._evaluated) or expected", "_mean(self._evaluated) or 0.0"),
-        ("_mean(self._evaluated) or expected", "expected"),
+        ("min(alone, plain) * settled", "alone * settled"),
+        ("self.evaluation or expected", "self.evaluation or 0.0"),
+        ("self.evaluation or expected", "expected"),
     ),
     *_of(
         f"{CORE}/train.py", "core/test_steered.py",
@@ -814,6 +825,26 @@ MUTANTS: tuple[Mutant, ...] = (
         ("return min(max(value, lo), hi)", "return value"),
     ),
     *_of(
+        f"{CORE}/soundness.py", "core/test_soundness.py",
+        ("& alive.reshape", "| alive.reshape"),
+        ("min(found, key=lambda entry: entry[0])", "found[-1]"),
+    ),
+    *_of(
+        f"{CORE}/run_folder.py", "attack/test_disk.py",
+        ('if facts.pop("sha256", None) not in (None, _sum_of(facts)):', 'if facts.pop("sha256", None) is False:'),
+        ('facts.pop("weights_sha256", None) not in', 'facts.pop("weights_sha256", None) is False not in'),
+    ),
+    *_of(
+        "studio/turns.py", "studio/test_turns.py",
+        ("if self._there >= self._most:", "if False:"),
+        ("self._there -= 1", "pass"),
+    ),
+    *_of(
+        "studio/patience.py", "attack/test_strangers.py",
+        ("if self._read > most and", "if False and"),
+        ('return "answer", self.cycle, unsent', "return None"),
+    ),
+    *_of(
         f"{CORE}/undo.py", "core/test_undo.py",
         ("e.iteration == last", "e.iteration < last"),
         ("state.alpha, state.projection = before.alpha, before.projection", "pass"),
@@ -861,7 +892,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     *_of(
         "studio/export/trial.py", "studio/test_export_proof.py",
-        ("Outcome(None, [_failed(told)], None)", "Outcome(None, [], None)"),
+        ('return Outcome(None, [Check("policy", math.inf,', 'return Outcome(None, [Check("policy", 0.0,'),
     ),
     # --- what a browser may say ---
     *_of(

@@ -10,12 +10,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 from morph_core.methods.proxy import Morph
 from morph_core.spread import Spread
 from morph_core.state import start
+from studio.export.bundle import robot_files
+from studio.export.stand import check_standing
 from tests import forked
 from tests.packages import OWN_ROBOT, ROOT, beside, install, python, write_package
 
@@ -366,6 +369,16 @@ def test_only_a_longer_arm_can_reach_the_disc(throw: Any) -> None:
     task = throw.Throw()
     assert nearest_throw(throw, task.design_space.initial[0]) > 2 * task.goal_radius
     assert nearest_throw(throw, 0.45) < task.goal_radius / 2
+
+
+def test_the_robot_stands_wherever_its_files_are_opened(throw: Any) -> None:
+    task = throw.Throw()
+    files = robot_files(task, task.design_space.initial, [], ("mjcf",))
+    for file, own in (("robot.xml", {"world", "upper_arm", "forearm"}), ("scene.xml", {"upper_arm", "forearm"})):
+        model = mujoco.MjModel.from_xml_string(files[file].decode())
+        assert model.nkey == (file == "scene.xml")
+        checks = check_standing(file, model, own)
+        assert [str(check) for check in checks if not check.passed or "not asked" in check.detail] == []
 
 
 def test_the_ball_flies_as_it_should_once_the_hand_has_opened(throw: Any) -> None:

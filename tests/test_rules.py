@@ -58,6 +58,18 @@ def test_the_search_for_unsafe_loads_finds_them(line: str) -> None:
     assert list(_unsafe_loads(ast.parse(line)))
 
 
+def test_whoever_reads_json_from_elsewhere_is_ready_for_all_that_its_reader_raises() -> None:
+    """The reader of JSON raises DecodeError, UnicodeDecodeError and RecursionError; the first two are ValueErrors."""
+    lacking = []
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ExceptHandler) and node.type and "DecodeError" in (said := ast.unparse(node.type)):
+                words = set(re.findall(r"\w+", said))
+                if not {"DecodeError", "UnicodeDecodeError", "RecursionError"} <= words:
+                    lacking.append(f"{path.relative_to(ROOT)}:{node.lineno} catches {said}")
+    assert lacking == []
+
+
 @pytest.mark.parametrize("path", MODULES, ids=IDS)
 def test_every_module_says_what_it_is_in_its_first_line(path: Path) -> None:
     docstring = ast.get_docstring(ast.parse(path.read_text()))

@@ -56,4 +56,5 @@ class Cma(Search):
             population = es.ask()
             physics.generation = complete(np.array(population))
             es.tell(population, physics.costs(problem.dataset, physics.generation).tolist())
-        return complete(np.asarray(es.result.xbest)[None])[0]
+        best = es.result.xbest  # None where every simulation of every candidate diverged
+        return problem.start if best is None else complete(np.asarray(best)[None])[0]

@@ -100,8 +100,10 @@ class Tunnel:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of links that don't cross the bend
             for bend_x, bend_y in zip(self.xs, self.ys, strict=True):
                 before = x < bend_x
-                height = y[:-1] + (bend_x - x[:-1]) / run * rise
-                touches[1:] |= (before[1:] != before[:-1]) & (np.abs(height - bend_y) - half_gap >= limit)
+                crosses = before[1:] != before[:-1]
+                if crosses.any():
+                    height = y[:-1] + (bend_x - x[:-1]) / run * rise
+                    touches[1:] |= crosses & (np.abs(height - bend_y) - half_gap >= limit)
         return np.any(touches, axis=0)
 
     def deepest(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -334,13 +336,13 @@ class Reacher(Settings, Task):
             if len(near):
                 # Each environment has its own number of postures, so that none depends on what the others do.
                 n = np.maximum(1, np.ceil(swing[near] / np.float32(self.sweep_resolution)))
-                end = n.cumsum(dtype=int)
-                begin = end - n.astype(int)
+                count = n.astype(int)
+                end = count.cumsum()
+                begin = end - count
                 posture = np.arange(end[-1])
-                of = np.repeat(np.arange(len(near)), end - begin)  # the environment of each posture
-                part = (posture - (begin - 1)[of]).astype(np.float32) / n[of]
-                which = near[of]
-                swept = _turned(pivot.take(which, 1), carried.take(which, 2), part * angle[j].take(which))
+                part = (posture - (begin - 1).repeat(count)).astype(np.float32) / n.repeat(count)
+                centre, arm = pivot[:, near].repeat(count, 1), carried[:, :, near].repeat(count, 2)
+                swept = _turned(centre, arm, part * angle[j, near].repeat(count))
                 touches = self.walls.touches(swept[0], swept[1], TOLERANCE)
                 first = np.minimum.reduceat(np.where(touches, posture, end[-1]), begin)
                 done[j, near] = (np.minimum(first, end) - begin) / n

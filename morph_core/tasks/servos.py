@@ -28,7 +28,7 @@ class DataSheet:
     no_load_speed: float  # rad/s
     mass: float  # kg
     size: tuple[float, float, float]  # m
-    price: tuple[float, float]
+    price: tuple[int, int]
     """Price class: USD each, the lowest and the highest price found, rounded, without tax and shipping."""
     source: str
     """Where torque, speed, mass and size stand."""

@@ -1,7 +1,8 @@
 """What a run has produced: traces, designs, recorded episodes and exports."""
 
+import contextlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import anyio.to_thread
@@ -35,6 +36,7 @@ from studio.export.printers import CHOICES, DEFAULT
 from studio.new_run import StartRun
 from studio.runs import Runs
 from studio.show.evolution import build_evolution
+from studio.turns import Turns
 
 Formats = Annotated[
     list[str] | None, Query(description="mjcf, urdf, stl, 3mf, glb, step, ros, ros2_control; repeated or with commas")
@@ -64,7 +66,7 @@ _DESIGN_BODY = {
         "content": {"application/json": {"schema": {"type": "object"}}, "application/zip": _FILE},
     }
 }
-Export = Callable[[History, str, list[str] | None, list[float] | None, str | None, str | None], Bundle]
+Export = Callable[[History, str, Sequence[str] | None, list[float] | None, str | None, str | None], Bundle]
 """Function that builds an export of a run: export(history, which design, formats or None for all, another phi, a servo
 or None, a printer or None)."""
 
@@ -102,8 +104,8 @@ def episode_of(history: History, iteration: str, which: Which | None = None, *, 
     return buffer.getvalue()
 
 
-def designs_router(runs: Runs, export: Export) -> APIRouter:
-    """Return the routes about what a run has produced."""
+def designs_router(runs: Runs, export: Export, turns: Turns) -> APIRouter:
+    """Return the routes about what a run has produced; what takes seconds waits for its turn."""
     router = APIRouter(prefix="/api/runs/{run_id}", tags=["designs"])
 
     def exported(
@@ -140,7 +142,9 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         summary="A recorded episode of an evaluation on Hw-Phy, with its contact forces on request",
     )
     def episode(run_id: str, iteration: str, which: WhichEpisode = None, forces: WithForces = False) -> Response:
-        content = episode_of(runs.get(run_id), iteration, which, forces=forces)
+        history = runs.get(run_id)
+        with turns.turn() if forces else contextlib.nullcontext():
+            content = episode_of(history, iteration, which, forces=forces)
         name = f"{run_id}-{int(iteration):06d}{f'-{which}' if which else ''}.npz"
         return _download(name, content, "application/octet-stream")
 
@@ -151,7 +155,9 @@ def designs_router(runs: Runs, export: Export) -> APIRouter:
         summary="Download the whole evolution, beside that of up to three other runs of the task",
     )
     def evolution(run_id: str, beside: Beside = None) -> Response:
-        page = build_evolution([runs.get(name) for name in (run_id, *(beside or ()))])
+        histories = [runs.get(name) for name in (run_id, *(beside or ()))]
+        with turns.turn():
+            page = build_evolution(histories)
         return _download(f"{run_id}-evolution.html", page.content, "text/html; charset=utf-8")
 
     @router.get(

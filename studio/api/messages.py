@@ -311,6 +311,6 @@ REFUSALS: dict[int | str, dict[str, object]] = {
         404: "No such run, design or file",
         413: "A body that is too long",
         422: "A value that is not allowed",
-        503: "The disk refuses, or the process that evaluates designs has died",
+        503: "The disk refuses, the process that evaluates designs has died, or too much work waits already",
     }.items()
 }

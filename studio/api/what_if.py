@@ -15,7 +15,7 @@ from studio.evaluator import EvaluatorError
 from studio.runs import Runs
 from studio.what_if import SweepPoint, WhatIf, WhatIfs, Wish
 
-_NOBODY_THERE = 499
+NOBODY_THERE = 499
 """Status of an answer that nobody reads, as the one who asked has left."""
 T = TypeVar("T")
 
@@ -37,7 +37,7 @@ def what_if_router(runs: Runs, what_ifs: WhatIfs) -> APIRouter:
                 request, cancellation, lambda: what_ifs.evaluate(runs.get(run_id), wish, cancellation)
             )
         except CancelledError:
-            return Response(status_code=_NOBODY_THERE)
+            return Response(status_code=NOBODY_THERE)
         return reply(found)
 
     @router.post(

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from studio.cli.arguments import UsageError
-from studio.cli.output import all_written, bear_any_encoding, complain, open_streams, say
+from studio.cli.output import all_written, bear_any_encoding, bear_any_width, complain, open_streams, say
 
 COMMANDS = {
     "serve": "open the studio in the browser",
@@ -40,6 +40,7 @@ def main() -> None:
     """Run the command of `sys.argv` and exit: 0 done, 1 failed, 2 asked for the impossible, 130 stopped by Ctrl-C."""
     open_streams()
     bear_any_encoding()
+    bear_any_width()
     try:
         code = run(sys.argv[1:])
     except BrokenPipeError:  # the reader of our output has seen enough

@@ -1,7 +1,6 @@
 """`morph-studio evaluate`: success and return of a design, or along each parameter, in a process of its own."""
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -11,7 +10,6 @@ from typing import Annotated
 
 import tyro
 
-import morph_core
 from morph_core.design import DesignSpace
 from morph_core.history import History
 from studio import limits
@@ -21,6 +19,7 @@ from studio.cli.choice import check_design, open_run
 from studio.cli.export import DesignName
 from studio.cli.output import complain, write_json
 from studio.evaluator import Evaluator, EvaluatorError
+from studio.trainers import trainer_environment
 from studio.what_if import POINTS, Policy, SweepPoint, WhatIfs, Wish, phi_of, policy_note
 
 
@@ -170,12 +169,10 @@ def _print_sweep(points: Sequence[SweepPoint], wish: Wish) -> None:
 
 def _evaluate(folder: Path, design: str, episodes: int, phi: list[float] | None) -> subprocess.CompletedProcess[str]:
     """Run the evaluation in a process of its own: it needs torch, this one does not."""
-    code = str(Path(morph_core.__file__).resolve().parents[1])
-    path = os.pathsep.join(p for p in (code, os.environ.get("PYTHONPATH")) if p)
     return subprocess.run(
         [sys.executable, "-P", "-m", "morph_core.evaluate", "--run", str(folder.resolve()), "--design", design,
          "--episodes", str(episodes), *(["--phi", json.dumps(phi)] if phi is not None else [])],
-        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}, check=False,
+        capture_output=True, encoding="utf-8", errors="replace", env=trainer_environment(), check=False,
     )  # fmt: skip
 
 

@@ -130,7 +130,11 @@ def _write_still(places: Sequence[tuple[History, str | None]], wanted: FilmArgum
     (history, design), form = places[0], Format(*read_size(wanted.size or f"{STILL_WIDTH:g}mm"), dpi, wanted.scale_bar)
     still = Still(history, design or wanted.design or "best", wanted.at, wanted.episode)
     content = still.svg(form) if ending == ".svg" else still.png(form)
-    write_file(where_written(out), content)
+    try:
+        write_file(where_written(out), content)
+    except OSError as error:
+        complain(f"morph-studio: replay: can't write {out}: {error.strerror or error}")
+        return 1
     _tell(out, {"path": str(out), "bytes": len(content)}, json=json)
     return 0
 

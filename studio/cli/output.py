@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import shutil
 import sys
 import unicodedata
 
@@ -10,6 +11,10 @@ import msgspec
 
 _NOT_SHOWN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 """Categories of characters that a terminal obeys or can't show: controls, marks of direction, halves of characters."""
+
+
+NARROWEST = 40
+"""Smallest number of columns for which words are laid out."""
 
 
 def visible(words: str) -> str:
@@ -46,6 +51,12 @@ def all_written() -> bool:
             complain(f"morph-studio: what was to be printed can't be written: {error.strerror}")
             return False
     return True
+
+
+def bear_any_width() -> None:
+    """Lay words out for `NARROWEST` columns at least: the parser's help never ends where there are a few."""
+    if shutil.get_terminal_size().columns < NARROWEST:
+        os.environ["COLUMNS"] = str(NARROWEST)
 
 
 def bear_any_encoding() -> None:

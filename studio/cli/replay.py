@@ -115,7 +115,8 @@ def _replaying(history: History, last: int) -> Iterator[tuple[subprocess.Popen[s
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "morph_core.replay", "--run", str(history.folder.path.resolve()),
          "--until", str(last)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=trainer_environment(), start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8", errors="replace", env=trainer_environment(),
+        start_new_session=True,
     )  # fmt: skip
     try:
         yield process, signals

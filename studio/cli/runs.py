@@ -98,7 +98,11 @@ def _print_tree(lines: list[dict[str, Any]]) -> None:
 def _why_none(arguments: ListArguments) -> str:
     total = len(run_folder.list_runs(arguments.runs))
     if total:
-        return f"none of the {total} runs in {arguments.runs} is listed: archived ones are by --archived show"
+        asked = ["starred"] * arguments.starred + [f'tagged "{arguments.tag}"'] * (arguments.tag is not None)
+        asked += ["archived"] * (arguments.archived == "only")
+        why = f"none is {' and '.join(asked)}" if asked else "all are archived"
+        left_out = "; archived ones are left out, but for --archived show" * (arguments.archived == "hide")
+        return f"none of the {total} runs in {arguments.runs} is listed: {why}{left_out}"
     return f"no runs in {arguments.runs} yet; start one: morph-studio train reacher"
 
 

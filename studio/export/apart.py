@@ -58,17 +58,18 @@ def prove_apart(
         try:
             done = subprocess.run(
                 [sys.executable, "-P", "-m", "studio.export.apart", folder, *map(str, (episodes, seconds, memory))],
-                capture_output=True, timeout=WALL_FACTOR * seconds, cwd=folder, env=_environment(), check=False,
+                capture_output=True, timeout=WALL_FACTOR * seconds, cwd=folder, env=environment(), check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return [Check("the bundle", math.inf, 0.0, f"not read within {WALL_FACTOR * seconds} s: given up")]
     try:
         return [told.check for told in msgspec.json.decode(done.stdout, type=list[_Told])]
-    except msgspec.DecodeError:
+    except (ValueError, RecursionError):
         return [Check("the bundle", math.inf, 0.0, _why(done.returncode, done.stderr, seconds))]
 
 
-def _environment() -> dict[str, str]:
+def environment() -> dict[str, str]:
+    """Return the environment of a process that runs this very code: without the token, and with one thread for BLAS."""
     code = str(Path(studio.__file__).resolve().parents[1])
     others = {name: value for name, value in os.environ.items() if name != "MORPH_TOKEN"}
     paths = [code, *filter(None, [others.get("PYTHONPATH")])]

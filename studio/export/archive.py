@@ -1,10 +1,12 @@
 """Zip files that are the same whenever the same files go into them, and are read without trust."""
 
 import io
+import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
+from morph_core import inside
 from studio.export.errors import ExportError
 
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)
@@ -12,6 +14,14 @@ _PACKED = (".3mf", ".mjz")
 """Endings of files that are archives themselves, which a second compression would only make slower."""
 MAX_FILES, MAX_BYTES = 2000, 256 << 20
 """The largest archive that is read: number of files, and their bytes together."""
+
+
+_ENTRY = b"PK\x01\x02"
+"""What every entry of a zip's table of contents begins with."""
+LONGEST_PATH = 255
+"""Largest number of characters in the path of a file of an archive: every folder on the way there is looked at."""
+MOST_ENTRIES = 10 * MAX_FILES
+"""Largest number of such entries in a file, in the archives inside it too: the table is read as a whole."""
 
 
 def zipped(files: Mapping[str, bytes], compress: bool = True) -> bytes:
@@ -45,6 +55,10 @@ def unzipped(content: bytes, only: str = "", most: int = MAX_BYTES) -> dict[str,
 
     Paths are plain ones, none twice, and none inside another that is a file.
     """
+    if content.count(_ENTRY) > MOST_ENTRIES:
+        raise ExportError(
+            f"it holds more than {MOST_ENTRIES} files, those of the archives in it counted: no bundle does"
+        )
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             entries = [entry for entry in archive.infolist() if not entry.is_dir()]
@@ -55,11 +69,17 @@ def unzipped(content: bytes, only: str = "", most: int = MAX_BYTES) -> dict[str,
             if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in wanted):
                 raise ExportError("it is packed so that reading it may take any amount of memory: deflate it")
             _check_apart([entry.filename for entry in entries])
-            return {entry.filename: archive.read(entry) for entry in wanted}
+            return {entry.filename: _unpacked(archive, entry) for entry in wanted}
     except ExportError:
         raise
     except Exception as error:  # zlib, lzma, bz2 and zipfile each have errors of their own
         raise ExportError(f"this is no zip that can be read: {str(error) or type(error).__name__}") from error
+
+
+def _unpacked(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
+    """Return a file of an archive; no more is unpacked than it says, and where it holds more its checksum differs."""
+    with archive.open(entry) as file:
+        return file.read(entry.file_size)
 
 
 def _check_apart(names: list[str]) -> None:
@@ -80,17 +100,36 @@ def unpack(files: Mapping[str, bytes], folder: Path) -> None:
 
 def check_path(name: str) -> None:
     """Raise ExportError unless `name` is a plain relative path."""
+    if len(name) > LONGEST_PATH:
+        raise ExportError(f"it holds a file whose path has {len(name):,} characters: at most {LONGEST_PATH} are read")
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name or "\0" in name or not path.parts:
         raise ExportError(f"it holds a file with the path {name[:60]!r}: only plain relative paths are read")
 
 
 def _read_folder(folder: Path) -> dict[str, bytes]:
-    paths = [path for path in sorted(folder.rglob("*")) if not path.is_dir()]
-    if any(path.is_symlink() or not path.is_file() for path in paths):
-        raise ExportError(f"{folder} holds links or special files: only plain files are read")
-    _check_size(len(paths), sum(path.stat().st_size for path in paths))
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+    sizes = dict(_plain_files(folder))
+    _check_size(len(sizes), sum(sizes.values()))
+    return {name: inside.read(folder, name, size) for name, size in sorted(sizes.items())}
+
+
+def _plain_files(folder: Path) -> Iterator[tuple[str, int]]:
+    """Yield the path of each file in a folder, relative to it, and its size, until there are more than are read."""
+    count, folders = 0, [""]
+    while folders:
+        at = folders.pop()
+        with os.scandir(folder / at) as entries:
+            for entry in entries:
+                name = f"{at}{entry.name}"
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(f"{name}/")
+                elif not entry.is_file(follow_symlinks=False):
+                    raise ExportError(f"{folder} holds links or special files: only plain files are read")
+                else:
+                    yield name, entry.stat(follow_symlinks=False).st_size
+                count += 1
+                if count > MOST_ENTRIES:
+                    raise ExportError(f"{folder} holds more than {MOST_ENTRIES} files and folders: no bundle does")
 
 
 def _check_size(files: int, size: int, most: int = MAX_BYTES) -> None:

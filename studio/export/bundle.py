@@ -38,7 +38,7 @@ from studio.export.report import Section, Sheet, report
 from studio.export.ros import package_name, ros_package
 from studio.export.servos import ServoTable, check_servo, servo_html, verdict
 from studio.export.step import step_files
-from studio.export.trial import Trial, begun
+from studio.export.trial import Runner, Trial, is_long
 from studio.export.urdf import write_urdf
 from studio.export.views import views_of
 from studio.export.zero import hold_keyframes, moved_zero, servo_targets
@@ -120,24 +120,24 @@ def _build(
     if wanted and "mjcf" not in formats:
         raise ExportError("what a policy needs of a servo is measured on scene.xml: choose the format mjcf with it")
     robot = robot_of(task)
-    parts = parts_of_design(robot, phi)
-    design = _design(history, task, which, iteration, phi, parts)
     policy = policy_at(history, iteration, phi)
-    try:
-        files = simulated_files(task, phi, parts, formats)
-    except (ValueError, mujoco.FatalError) as error:
-        raise ExportError(f"MuJoCo can't build this design: {error}") from error
+    program = robot.program(phi) if policy and "mjcf" in formats else None
     recorded = next(
         (e for e in reversed(history.evaluations) if e.iteration == iteration and e.phi == phi.tolist()), None
     )
-    program = robot.program(phi) if policy and "mjcf" in formats else None
-    promised: list[Score] = []
-    trial: Trial | None = None
-    if policy and program:
-        promised = _promised(history, recorded, policy)
-        files |= policy_files(policy, program, task.horizon)
-        trial = Trial(files.copy(), task.name, design.task_options, phi, promised, wanted, EPISODES)
-    with begun(trial) as outcome:
+    promised = _promised(history, recorded, policy) if policy and program else []
+    # Episodes take seconds: the rest is made meanwhile.
+    with Runner(apart=program is not None and is_long(task, EPISODES)) as runner:
+        parts = parts_of_design(robot, phi)
+        design = _design(history, task, which, iteration, phi, parts)
+        try:
+            files = simulated_files(task, phi, parts, formats)
+        except (ValueError, mujoco.FatalError) as error:
+            raise ExportError(f"MuJoCo can't build this design: {error}") from error
+        if policy and program:
+            files |= policy_files(policy, program, task.horizon)
+            options = design.task_options
+            runner.begin(Trial(files.copy(), task.name, options, phi.tolist(), promised, wanted, EPISODES))
         files |= seen_files(task, phi, parts, formats)
         prints = _prints(task, phi, parts, printer) if "3mf" in formats else None
         files |= print_files(prints) if prints else {}
@@ -145,10 +145,9 @@ def _build(
         if policy and program and onnx_policy.is_available():
             files[onnx_policy.FILE] = onnx_policy.onnx_file(policy, program, _facts(task, history, iteration))
             checks.append(check_onnx(files, task, phi))
-        model = task.spec(phi).compile()
-        off = deviation(model, parts, points=_POINTS) if robot.printed else None
-        views = views_of(model, parts) if parts else None
-        came = outcome()
+        off = deviation(task.spec(phi).compile(), parts, points=_POINTS) if robot.printed else None
+        views = views_of(task.spec(phi).compile(), parts) if parts else None
+        came = runner.outcome()
     checks += came.checks
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))

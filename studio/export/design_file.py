@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from morph_core import inside
 from morph_core.catalogue import make_task
 from morph_core.design import DesignSpace
 from morph_core.protocol import Measure, Parent, Whole
@@ -107,7 +108,8 @@ def read_design(content: bytes) -> Design:
 def load_design(path: Path) -> Design:
     """Return the design of a design.json, a bundle's zip or a bundle's folder."""
     try:
-        path = path / FILE if path.is_dir() else path
+        if path.is_dir():
+            return read_design(inside.read(path, FILE, LARGEST))
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)  # a device has no size and no end
         if len(content) > MAX_BYTES:

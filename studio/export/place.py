@@ -5,7 +5,8 @@ from pathlib import Path
 
 import msgspec
 
-from morph_core import durable
+from morph_core import durable, inside
+from morph_core.run_folder import SMALL_BYTES
 from studio.export.archive import MAX_BYTES, unzipped
 from studio.export.bundle import Bundle
 from studio.export.errors import ExportError
@@ -69,7 +70,7 @@ def _check_folder(out: Path) -> None:
     present = {path.relative_to(out).as_posix() for path in out.rglob("*") if not path.is_dir()}
     if not present:
         return
-    earlier = _provenance((out / PROVENANCE).read_bytes()) if PROVENANCE in present else None
+    earlier = _provenance(inside.read(out, PROVENANCE, SMALL_BYTES)) if PROVENANCE in present else None
     if earlier is None:
         raise ExportError(f"{out} holds other files: choose an empty or new folder")
     foreign = sorted(present - set(earlier.sha256) - {PROVENANCE})

@@ -329,7 +329,7 @@ def check_digests(files: Mapping[str, bytes]) -> Check:
     name = f"{PROVENANCE}: digests"
     try:
         expected = msgspec.json.decode(files.get(PROVENANCE, b""), type=Provenance).sha256
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         return Check(name, math.inf, 0.0, f"can't be read: {error}")
     found = {path: hashlib.sha256(content).hexdigest() for path, content in files.items() if path != PROVENANCE}
     wrong = sorted(path for path in found.keys() | expected.keys() if found.get(path) != expected.get(path))
@@ -341,7 +341,7 @@ def check_digests(files: Mapping[str, bytes]) -> Check:
 def _promised(files: Mapping[str, bytes]) -> list[Score]:
     try:
         return msgspec.json.decode(files[PROVENANCE], type=Provenance).policy
-    except (KeyError, msgspec.DecodeError):
+    except (KeyError, ValueError, RecursionError):
         return []
 
 

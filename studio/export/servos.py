@@ -52,7 +52,7 @@ class Candidate(msgspec.Struct, frozen=True):
     no_load_speed: float
     mass: float
     size: tuple[float, float, float]
-    price: tuple[float, float]
+    price: tuple[int, int]
     source: str
     price_source: str
     suffices_for: int

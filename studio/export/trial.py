@@ -1,19 +1,29 @@
-"""The episodes that prove a policy on the exported scene, run by a process of its own beside the rest of an export."""
+"""The episodes that prove a policy on the exported scene, run by a process of its own beside the rest of an export.
 
+It is started as `python -P -m studio.export.trial` before the scene is written, reads the path of a trial on its
+standard input, and writes what the trial comes to on its standard output, both as MessagePack.
+"""
+
+import contextlib
 import math
-import multiprocessing
-import signal
+import os
+import subprocess
 import sys
+import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from pathlib import Path
+from types import TracebackType
+from typing import Self
 
+import msgspec
 import numpy as np
 
 from morph_core.catalogue import make_task
+from morph_core.task import Task
 from morph_core.tasks.servos import ServoName
+from studio.export.apart import environment
 from studio.export.check import Check
 from studio.export.demand import Recorder
 from studio.export.policy import Score
@@ -45,66 +55,104 @@ class Trial:
     files: Mapping[str, bytes]
     task: str
     task_options: dict[str, object]
-    phi: np.ndarray  # (d,)
+    phi: Sequence[float]
     promised: Sequence[Score]
     """Scores with which the policy's success is compared."""
     servo: ServoName | None
     """Servo with which its needs are compared; None for one that they choose."""
     episodes: int
 
-    @property
-    def is_long(self) -> bool:
-        """Whether it takes seconds: many episodes, of a robot whose physics is simulated."""
-        return self.episodes >= APART and bool(robot_of(make_task(self.task, self.task_options)).servo_joints)
-
     def run(self) -> Outcome:
         """Run the episodes in this process."""
-        task, recorder = make_task(self.task, self.task_options), Recorder()
-        found, checks = prove_policy(self.files, task, self.phi, [*self.promised], self.episodes, recorder)
-        return Outcome(found, checks, compared_servos(recorder, task, self.phi, self.servo))
+        task, phi, recorder = make_task(self.task, self.task_options), np.array(self.phi), Recorder()
+        found, checks = prove_policy(self.files, task, phi, [*self.promised], self.episodes, recorder)
+        return Outcome(found, checks, compared_servos(recorder, task, phi, self.servo))
 
 
-@contextmanager
-def begun(trial: Trial | None) -> Iterator[Callable[[], Outcome]]:
-    """Begin a trial, and give the function that waits for what it comes to: nothing where there is none.
+def is_long(task: Task, episodes: int) -> bool:
+    """Tell whether a trial takes seconds: it has many episodes, of a robot whose physics is simulated."""
+    return episodes >= APART and bool(robot_of(task).servo_joints)
 
-    One that takes seconds is run in a process of its own, any other when it is waited for.
+
+class Runner:
+    """What runs a trial: a process `apart`, which loads while the trial is prepared, or this one when it is waited for.
+
+    Used in a `with` block, at whose end the process is gone.
     """
-    if trial is None or not trial.is_long:
-        yield trial.run if trial else lambda: Outcome(None, [], None)
-        return
-    # A fork has all modules loaded, but would copy the locks that other threads hold.
-    alone = sys.platform == "linux" and threading.active_count() == 1
-    context = multiprocessing.get_context("fork") if alone else multiprocessing.get_context("spawn")
-    end, other = context.Pipe(duplex=False)
-    with _TURN:
-        process = context.Process(target=_run, args=(trial, other), daemon=True)
-        process.start()
-        other.close()
+
+    def __init__(self, *, apart: bool) -> None:
+        self._apart = apart
+        self._trial: Trial | None = None
+
+    def __enter__(self) -> Self:
+        with contextlib.ExitStack() as stack:
+            if self._apart:
+                stack.enter_context(_TURN)
+                self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", "studio.export.trial"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                    env=environment(), start_new_session=True,
+                )  # fmt: skip
+                stack.callback(self._end)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def begin(self, trial: Trial) -> None:
+        """Run a trial from now on."""
+        self._trial = trial
+        if not self._apart:
+            return
+        path = self._folder / "trial"
+        path.write_bytes(msgspec.msgpack.encode(trial))
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # it is dead, which is told when it is waited for
+            self._process.stdin.write(os.fsencode(path) + b"\n")
+            self._process.stdin.flush()
+
+    def outcome(self) -> Outcome:
+        """Wait for what the trial comes to; nothing where none was begun."""
+        if self._trial is None:
+            return Outcome(None, [], None)
+        if not self._apart:
+            return self._trial.run()
+        assert self._process.stdout is not None
         try:
-            yield lambda: awaited(end)
-        finally:
-            process.terminate()
-            process.join()
-            end.close()
+            return msgspec.msgpack.decode(self._process.stdout.read(), type=Outcome)
+        except msgspec.DecodeError:
+            return _failed("its process ended without a word, perhaps for want of memory")
+
+    def _end(self) -> None:
+        self._process.kill()
+        with contextlib.suppress(BrokenPipeError):
+            self._process.__exit__(None, None, None)  # closes its pipes, and waits
 
 
-def awaited(end: Connection) -> Outcome:
-    """Return what the process at the other end comes to."""
+def _failed(why: str) -> Outcome:
+    return Outcome(None, [Check("policy", math.inf, 0.0, f"can't be run: {why}")], None)
+
+
+def main() -> int:
+    """Run the trial whose path comes on standard input; return the exit status."""
+    told = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what readers print is no outcome
+    path = sys.stdin.buffer.readline()
+    if not path:  # whoever has started this has given it up
+        return 1
+    trial = msgspec.msgpack.decode(Path(os.fsdecode(path.rstrip(b"\n"))).read_bytes(), type=Trial)
     try:
-        told = end.recv()
-    except EOFError:
-        told = "its process ended without a word, perhaps for want of memory"
-    return told if isinstance(told, Outcome) else Outcome(None, [_failed(told)], None)
-
-
-def _failed(why: str) -> Check:
-    return Check("policy", math.inf, 0.0, f"can't be run: {why}")
-
-
-def _run(trial: Trial, end: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who has started the process ends it
-    try:
-        end.send(trial.run())
+        came = trial.run()
     except Exception as error:  # as with every other file
-        end.send(f"{str(error) or type(error).__name__}")
+        came = _failed(str(error) or type(error).__name__)
+    with contextlib.suppress(BrokenPipeError):
+        told.write(msgspec.msgpack.encode(came))
+        told.flush()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

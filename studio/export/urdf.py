@@ -48,11 +48,17 @@ class Names:
 
 def urdf_names(model: mujoco.MjModel) -> Names:
     """Return the names of links, joints and sites; what has none in the model is numbered from 1."""
-    links = link_names(model)
-    taken = {*links, WORLD, _fixed(BASE)}
-    joints = [_joint_name(model.joint(i).name or f"joint_{i + 1}", taken) for i in range(model.njnt)]
-    sites = [_unique(model.site(i).name or f"site_{i + 1}", taken) for i in range(model.nsite)]
+    taken: set[str] = set()
+    links = [_unique(_plain(name), taken) for name in link_names(model)]
+    taken |= {WORLD, _fixed(BASE)}
+    joints = [_joint_name(_plain(model.joint(i).name) or f"joint_{i + 1}", taken) for i in range(model.njnt)]
+    sites = [_unique(_plain(model.site(i).name) or f"site_{i + 1}", taken) for i in range(model.nsite)]
     return Names(links, joints, sites)
+
+
+def _plain(name: str) -> str:
+    """Return a name without what some readers stumble over: Gazebo over signs of XML, all of them over line ends."""
+    return re.sub(r"[^\w./:-]+", "_", name)
 
 
 def _joint_name(name: str, taken: set[str]) -> str:

@@ -6,7 +6,6 @@ centres and moments of inertia, joint limits, and where every body and site stan
 
 import importlib.util
 import math
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,7 +13,6 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from studio.export.archive import unpack
 from studio.export.check import Check, relative, worst
 from studio.export.errors import ExportError
 from studio.export.readings import Reading, read_mjcf, read_urdf, read_yourdfpy
@@ -39,25 +37,6 @@ FRAME_MASS = 1e-3
 """kg: what a link may weigh that stands for a place on a body, and is given a weight for readers that need one."""
 
 
-def verify(
-    files: Mapping[str, bytes],
-    model: mujoco.MjModel | None = None,
-    *,
-    robot: str = "robot",
-    zero: Mapping[str, float] | None = None,
-    only_mujoco: bool = False,
-) -> list[Check]:
-    """Compare `robot`.xml, .mjz and .urdf of `files` with `model`, or with one another if there is none.
-
-    `zero` holds the values at which the model's joints, by name, are where the files have them at 0.
-
-    A file that can't be read gives a failed check, not an exception.
-    """
-    with tempfile.TemporaryDirectory() as name:
-        unpack(files, Path(name))
-        return verify_folder(Path(name), files, model, robot=robot, zero=zero, only_mujoco=only_mujoco)
-
-
 def load_model(path: Path) -> mujoco.MjModel:
     """Return what MuJoCo makes of an MJCF or URDF."""
     return mujoco.MjModel.from_xml_path(str(path))
@@ -73,7 +52,12 @@ def verify_folder(
     only_mujoco: bool = False,
     load: Callable[[Path], mujoco.MjModel] = load_model,
 ) -> list[Check]:
-    """Do as `verify` with files that lie in a `folder`, and that MuJoCo reads by `load`."""
+    """Compare `robot`.xml, .mjz and .urdf of `files` with `model`, or with one another if there is none.
+
+    The files lie in a `folder` too, and MuJoCo reads them by `load`. `zero` holds the values at which the model's
+    joints, by name, are where the files have them at 0. A file that can't be read gives a failed check, not an
+    exception.
+    """
     reference = None if model is None else read_mjcf(model, zero)
     checks = _read_and_compare(folder, robot, reference, only_mujoco, load)
     for path in (f"{robot}.urdf", *in_packages(files, robot)):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from morph_core import durable
+from morph_core import durable, inside
 from morph_core.run_folder import RunFolder, RunFolderError, hold
 
 FOLDER = ".trash"
@@ -36,7 +36,7 @@ def discard(folder: RunFolder, now: float | None = None) -> Trashed:
     """Move a run into the trash, in one step. Raise RunFolderError if a trainer holds it."""
     moment = round(time.time() if now is None else now, 3)
     runs = folder.path.parent
-    (runs / FOLDER).mkdir(exist_ok=True)
+    inside.folder(runs, FOLDER)
     with hold(folder):
         durable.move(folder.path, runs / FOLDER / f"{round(moment * 1000):013d}.{folder.id}")
     return _trashed(folder.id, moment)

@@ -127,6 +127,8 @@ def _left_out(course: Course, designs: Designs, episodes: int, *, boxed: bool) -
     recorded = sum(bool(e.episode) for e in course.history.evaluations)
     if not recorded:
         lacks.append("This run recorded no episode, so that its bodies stand in their start posture.")
+    elif not episodes:
+        lacks.append("No recorded episode can be read, so that bodies stand in their start posture.")
     elif episodes < recorded:
         lacks.append(f"Of {recorded} recorded episodes the page holds {episodes}, first, last and best among them.")
     if boxed:

@@ -43,7 +43,7 @@ def build_page(history: History, which: str) -> Page:
         hands |= {"designs": made, "shaping": shaping_of(history, task, iteration, phi)}
         missing = _NO_POLICY if made[0]["layers"] is None else ""
     except ExportError as error:
-        missing = f"This design can't run: {error}. Its picture and its numbers are below."
+        missing = f"This design can't run: {error}. Its picture and its numbers are on the page."
     hands["missing"] = missing
     known = {
         "title": escape(task.title),

@@ -242,7 +242,9 @@ def read_study(directory: Path) -> Study:
         return msgspec.json.decode(text, type=Study)
     except (FileNotFoundError, NotADirectoryError):
         raise StudyError(f"{directory} holds no study: there is no {STUDY} in it") from None
-    except (OSError, msgspec.DecodeError) as error:
+    except StudyError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
         raise StudyError(f"{directory / STUDY} can't be read: {error}") from error
 
 

@@ -10,7 +10,7 @@ from morph_core.protocol import AnyCommand, Parameter, Status
 from studio.viewer import wording
 from studio.viewer.bounds import BoundsForm, Group, Row
 from studio.viewer.parts import unit_of
-from studio.viewer.run import NOT_LIVE, Send
+from studio.viewer.run import NOT_LIVE, OBEYED_LATER, TAKES_LATER_EDITS, Send
 
 
 class DesignPanel:
@@ -47,16 +47,14 @@ class DesignPanel:
         if self._bounds is None or tuple(space.names) != self._names:
             self._bounds = self._build(space)
         self.holder.visible = True
-        live = status not in NOT_LIVE
-        self.note.content = wording.paragraph(
-            wording.dim(
-                "Edits are sent together by Apply and hold from the next iteration on."
-                if live
-                else f"This run is {status}: to change its design, branch from it (Run tab)."
-            )
-        )
+        live, later = status not in NOT_LIVE, status in TAKES_LATER_EDITS
+        said = "Edits are sent together by Apply and hold from the next iteration on."
+        if not live:
+            others = OBEYED_LATER if later else "To change its design, branch from it (Run tab)."
+            said = f"This run is {status}. {others}"
+        self.note.content = wording.paragraph(wording.dim(said))
         for button in self._buttons:
-            button.visible = live
+            button.visible = live or later
         words = {
             p.name: (p, float(value), float(initial))
             for p, value, initial in zip(space.parameters, phi, history.initial_phi, strict=True)

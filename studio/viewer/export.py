@@ -1,5 +1,6 @@
 """The export panel: choose a design and formats, see what was checked, download; and go on from an exported design."""
 
+import threading
 from collections.abc import Callable, Sequence
 
 import msgspec
@@ -88,7 +89,8 @@ class ExportPanel:
         for box in self.formats.values():
             box.on_update(lambda _: self._choose())
         self.printer.on_update(lambda _: self._choose())
-        self.check.on_click(lambda _: self.submit())
+        self._at_work = threading.Lock()
+        self.check.on_click(lambda _: threading.Thread(target=self.submit, name="export", daemon=True).start())
         self.download.on_click(lambda event: self.send(event.client))
         self.bring.on_upload(lambda event: on_import(event.target.value.content, event.client))
         self.clear()
@@ -126,7 +128,15 @@ class ExportPanel:
         return which
 
     def submit(self) -> None:
-        """Build the bundle, and show what is in it and what was compared."""
+        """Build the bundle, and show what is in it and what was compared; one at a time."""
+        if not self._at_work.acquire(blocking=False):
+            return
+        try:
+            self._submit()
+        finally:
+            self._at_work.release()
+
+    def _submit(self) -> None:
         self._forget()
         try:
             which = self.which()

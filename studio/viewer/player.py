@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from studio.cancellation import Cancellation
+from studio.seldom import Seldom
 from studio.viewer.camera import Camera
 from studio.viewer.figure import Figure
 from studio.viewer.ghosts import Beside, Crowd, make_crowd
@@ -44,6 +45,7 @@ class Player:
         sentence on what can't be shown.
         """
         self._host = host
+        self._trouble = Seldom(log)
         self._on_time = on_time
         self._on_error = on_error
         self._robot = Layer(host, "robot")
@@ -187,7 +189,7 @@ class Player:
                     reported = now
                     self._on_time(min(self._time, self._take.duration), self._take.duration)
             except Exception as error:  # the thread must outlive a damaged episode or a task that fails to build
-                log.exception("the scene could not be drawn")
+                self._trouble.warn("the scene could not be drawn", traceback=True)
                 self._on_error(f"this design can't be shown: {error}")
 
     def _moving(self) -> bool:

@@ -22,6 +22,9 @@ from studio.viewer import wording
 from studio.viewer.rules import rules_of
 
 NOT_LIVE: tuple[Status, ...] = ("queued", "stopped", "finished", "failed", "lost", "unreadable")
+TAKES_LATER_EDITS: tuple[Status, ...] = ("failed", "lost")
+"""States of a run without a trainer that takes edits all the same: they are obeyed before it goes on."""
+OBEYED_LATER = "What is applied now is obeyed when the run is resumed (Run tab), before it goes on."
 RESUMABLE: tuple[Status, ...] = ("stopped", "failed", "lost")
 _LOG_LINES = 8
 _UNREADABLE = "Put back the file from a copy, or delete the run on the page of all runs; the others are not concerned."
@@ -203,6 +206,8 @@ def log_of(history: History, status: Status, pending: Sequence[AnyCommand]) -> s
     """Return what became of the latest commands, newest first, as HTML; `pending` ones have no answer yet."""
     space = history.design_space
     waiting = "no answer before the run ended" if status in NOT_LIVE else "asked…"
+    if status in TAKES_LATER_EDITS:
+        waiting = "waits: obeyed once the run is resumed"
     lines = [wording.dim(f"{wording.text(describe(c, space))}: {waiting}") for c in reversed(pending)]
     for event in reversed(history.acknowledged[-_LOG_LINES:]):
         colour = "inherit" if event.accepted else wording.RED

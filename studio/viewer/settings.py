@@ -106,7 +106,8 @@ class SettingsForm:
         with self._folding:  # two browsers' values, or a value and another task, may come at once
             for folder in self._folders:
                 folder.remove()
-            self._more, self._folders = {}, []
+            self._folders = []
+            more: dict[str, Any] = {}
             parts: dict[str, list[Field]] = {}
             for field in fields:
                 if field.name not in self._in_sight:
@@ -115,7 +116,8 @@ class SettingsForm:
                 with self._slot:
                     self._folders.append(self._gui.add_folder(part.replace("_", " "), expand_by_default=False))
                 with self._folders[-1]:
-                    self._more |= {field.name: self._add(field) for field in inside}
+                    more |= {field.name: self._add(field) for field in inside}
+            self._more = more
 
     def _add(self, field: Field) -> Any:
         label = field.name.rpartition(".")[2].replace("_", " ").replace("minibatches", "mini-batches")  # may wrap there

@@ -142,7 +142,7 @@ class StartPanel:
     def show_legend(self, legend: str) -> None:
         """Show what the colours of the scene mean; `legend` is HTML."""
         title = wording.dim(wording.text(make_task(self.task.value).title)) if self.task.value in TASKS else ""
-        content = wording.paragraph(title) + legend
+        content = wording.paragraph(title) + f'<div style="min-height:2.9em">{legend}</div>'  # Start stays in its place
         if content != self.about.content:
             self.about.content = content
 

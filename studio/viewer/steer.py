@@ -10,7 +10,7 @@ from morph_core.history import History
 from morph_core.protocol import AnyCommand, SetAlpha, SetProjection, Status
 from studio.fields import docs_of
 from studio.viewer import explain, wording
-from studio.viewer.run import NOT_LIVE, Send
+from studio.viewer.run import NOT_LIVE, OBEYED_LATER, TAKES_LATER_EDITS, Send
 
 
 class SteerPanel:
@@ -37,11 +37,13 @@ class SteerPanel:
 
     def update(self, history: History, status: Status) -> None:
         """Show the values in force once they change; until then, what somebody is editing stays as it is."""
-        live = self.form.visible = status not in NOT_LIVE
+        later = status in TAKES_LATER_EDITS
+        live = status not in NOT_LIVE
+        self.form.visible = live or later
         self.note.visible = not live
         if not live:
-            said = f"This run is {status}: to change how it learns, branch from it (Run tab)."
-            self.note.content = wording.paragraph(wording.dim(said))
+            said = OBEYED_LATER if later else "To change how it learns, branch from it (Run tab)."
+            self.note.content = wording.paragraph(wording.dim(f"This run is {status}. {said}"))
         in_force = history.in_force.alpha, history.in_force.projection
         if in_force != self._in_force:
             self._in_force = in_force

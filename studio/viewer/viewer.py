@@ -126,6 +126,7 @@ class Viewer:
                 on_branch=self.wishes.branch,
                 on_export=self.wishes.export_changed,
                 on_refusal=self.refuse,
+                turn=self._lock,
             )
         self.fresh = FreshEpisodes(answers, on_news=self.refresh)
         self.player = Player(host, on_time=self._show_time, on_error=lambda sentence: self.refuse(sentence, None))

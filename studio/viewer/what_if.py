@@ -2,8 +2,9 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -74,13 +75,16 @@ class WhatIfPanel:
         on_branch: Callable[[int, list[float], viser.ClientHandle | None], None],
         on_export: Callable[[int, list[float], viser.ClientHandle], None],
         on_refusal: Refuse,
+        turn: AbstractContextManager[object],
     ) -> None:
         """Make the panel.
 
         `on_open` is called when somebody begins to change a design, `on_change` whenever another body or episode is to
-        be shown; the other callbacks do what the buttons say, and refuse by ValueError.
+        be shown; the other callbacks do what the buttons say, and refuse by ValueError. `turn` is held, re-entrantly,
+        by whoever calls `update`: what people do waits meanwhile, so that sliders and design are of one run.
         """
         self._gui = gui
+        self._turn = turn
         self._answers = answers
         self._on_open, self._on_change, self._on_refusal = on_open, on_change, on_refusal
         self._history: History | None = None
@@ -130,17 +134,16 @@ class WhatIfPanel:
         )
         self.export = gui.add_button("Export this", icon=viser.Icon.DOWNLOAD, hint="This φ with the policy, as a zip")
         self.leave = gui.add_button("Close", icon=viser.Icon.X, color="gray", hint="Back to what was recorded")
-        self.policy.on_update(lambda event: self._choose_policy(event.client) if event.client else None)
-        self.begin.on_click(lambda _: self.start())
-        self.leave.on_click(lambda _: self.close())
-        self.reset.on_click(lambda _: self._set(self._recorded) if self.open else None)
-        self.sweep.on_click(lambda _: self._start_sweep())
-        self.stop_sweep.on_click(lambda _: self._end_sweep())
+        self._exporting = Newest("what-if-export")
+        self.policy.on_update(self._in_turn(lambda event: self._choose_policy(event.client) if event.client else None))
+        self.begin.on_click(self._in_turn(lambda _: self.start()))
+        self.leave.on_click(self._in_turn(lambda _: self.close()))
+        self.reset.on_click(self._in_turn(lambda _: self._set(self._recorded) if self.open else None))
+        self.sweep.on_click(self._in_turn(lambda _: self._start_sweep()))
+        self.stop_sweep.on_click(self._in_turn(lambda _: self._end_sweep()))
         self.inject.on_click(lambda event: on_inject(self._phi.tolist, event.client))
         self.branch.on_click(lambda event: on_branch(self._iteration, self._phi.tolist(), event.client))
-        self.export.on_click(
-            lambda event: on_export(self._iteration, self._phi.tolist(), event.client) if event.client else None
-        )
+        self.export.on_click(lambda event: self._export(on_export, event.client) if event.client else None)
         self._asking, self._sweeping = Newest("what-if", _REST), Newest("what-if-sweep")
         self._marking = Newest("what-if-marks", _REST)
         self.clear()
@@ -197,10 +200,25 @@ class WhatIfPanel:
 
     def stop(self) -> None:
         """End the threads of the panel."""
-        for thread in (self._asking, self._sweeping, self._marking):
+        for thread in (self._asking, self._sweeping, self._marking, self._exporting):
             thread.stop()
 
     # --- what people do ---
+
+    def _in_turn(self, act: Callable[[Any], object]) -> Callable[[Any], None]:
+        """Return what a press or a drag does, done while nothing else changes the panel."""
+
+        def done(event: Any) -> None:
+            with self._turn:
+                act(event)
+
+        return done
+
+    def _export(
+        self, on_export: Callable[[int, list[float], viser.ClientHandle], None], client: viser.ClientHandle
+    ) -> None:
+        iteration, phi = self._iteration, self._phi.tolist()
+        self._exporting.put(lambda _: on_export(iteration, phi, client))  # it takes seconds
 
     def start(self) -> None:
         """Begin to change the shown design by hand."""
@@ -243,7 +261,7 @@ class WhatIfPanel:
             label, lo, hi, step, lo,
             hint=f"{p.name}: from {unit.words(p.hard_lo)} to {unit.words(p.hard_hi)}",
         )  # fmt: skip
-        slider.on_update(lambda event: self._drag(i, event.client) if event.client else None)
+        slider.on_update(self._in_turn(lambda event: self._drag(i, event.client) if event.client else None))
         return _Row(p, unit, slider, self._gui.add_html("", visible=False))
 
     def _choose_policy(self, client: viser.ClientHandle | None) -> None:
@@ -257,6 +275,8 @@ class WhatIfPanel:
             self._try(self._phi)
 
     def _drag(self, i: int, client: viser.ClientHandle | None) -> None:
+        if i >= len(self._rows):  # of a run of another task, whose slider is gone by now
+            return
         row = self._rows[i]
         value, (lo, hi) = row.slider.value, (row.slider.min, row.slider.max)
         if not self.open:
@@ -363,6 +383,10 @@ class WhatIfPanel:
 
     def _show_curves(self) -> None:
         """Draw what the sweep has found so far."""
+        with self._turn:
+            self._draw_curves()
+
+    def _draw_curves(self) -> None:
         scale = scale_of(self._swept[1])
         self.legend.visible = scale is not None
         if scale is not None:

@@ -19,6 +19,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
 from studio.export.design_file import LARGEST
+from studio.patience import MOST_WAITING
 from tests.attack.frames import messages
 from tests.attack.outcome import Outcome
 from tests.attack.target import CAMERA, Target, target
@@ -31,9 +32,12 @@ UNFINISHED = (
     b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET / HT",
 )
 """How strangers begin: with nothing, a header, a body, a chunk, or a second header; more comes a byte at a time."""
+LEFT_OPEN = 20
+"""Largest number of descriptors that strangers may leave behind; a page that came meanwhile has a few."""
 PATIENCE = 10.0
 """Seconds within which others are answered, on a machine that does other things."""
 IMPORTS_AT_ONCE = 12
+_NO_BUTTON = "none"
 GROWTH = 100.0
 """Largest growth in MB while zips are imported, however many at once."""
 UPLOADING = 250.0
@@ -66,10 +70,13 @@ def attack_strangers(connections: int, seed: int, quiet: bool = False, seconds: 
         for stranger in filter(None, crowd):
             stranger.close()
         time.sleep(3)
+        left = server.process.num_fds() - descriptors
+        if most > 2 * MOST_WAITING or left > LEFT_OPEN:
+            outcome.fault(f"{most} connections of strangers were open at once, and {left} after they had left")
         outcome.figures |= {
             "connections begun": float(anew),
             "most open at once": float(most),
-            "open 3 s after they left": float(server.process.num_fds() - descriptors),
+            "open 3 s after they left": float(left),
             "log, bytes": float(server.log.stat().st_size),
         }
     return outcome.end()
@@ -91,7 +98,8 @@ def attack_memory(rounds: int, seed: int, quiet: bool = False) -> Outcome:
         _judge(outcome, "12 imports at once, MB", peak[0] - began, GROWTH)
         with _peak(server) as peak:
             for _ in range(rounds):
-                _abandon_uploads(server)
+                if not _abandon_uploads(server):
+                    outcome.fault("no browser was shown a button for uploads, so that nothing was sent")
                 outcome.add()
         _judge(outcome, "12 uploads at once, MB", peak[0] - began, UPLOADING)
         time.sleep(3)
@@ -127,13 +135,17 @@ def _import_at_once(server: Target, outcome: Outcome) -> None:
                 outcome.fault(f"a zip that unpacks to 200 MiB is answered with {status}")
 
 
-def _abandon_uploads(server: Target) -> None:
-    """Let twelve browsers announce three files of 32 MiB each, send all but their last parts, and leave."""
+def _abandon_uploads(server: Target) -> int:
+    """Let twelve browsers announce three files of 32 MiB each, send all but their last parts, and leave.
+
+    Return how many of them were shown a button for it.
+    """
     with concurrent.futures.ThreadPoolExecutor(IMPORTS_AT_ONCE) as pool:
-        list(pool.map(lambda number: _abandon(server, number), range(IMPORTS_AT_ONCE)))
+        return sum(pool.map(lambda number: _abandon(server, number), range(IMPORTS_AT_ONCE)))
 
 
-def _abandon(server: Target, number: int) -> None:
+def _abandon(server: Target, number: int) -> bool:
+    button = _NO_BUTTON
     with contextlib.suppress(ConnectionClosed, TimeoutError, OSError), server.browser() as browser:
         browser.send(msgspec.msgpack.encode(CAMERA))
         button = _upload_button(browser)
@@ -145,6 +157,7 @@ def _abandon(server: Target, number: int) -> None:
                 content = {"part_index": part, "content": bytes(500_000)}
                 browser.send(msgspec.msgpack.encode({"type": "FileTransferPart", **where, **content}))
         time.sleep(2)
+    return button != _NO_BUTTON
 
 
 def _upload_button(browser: ClientConnection) -> str:
@@ -154,7 +167,7 @@ def _upload_button(browser: ClientConnection) -> str:
             for message in messages(browser.recv(timeout=5)):
                 if message["type"] == "GuiUploadButtonMessage":
                     return message["uuid"]
-    return "none"
+    return _NO_BUTTON
 
 
 def _stranger(server: Target, rng: random.Random) -> socket.socket | None:

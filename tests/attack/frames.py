@@ -83,6 +83,8 @@ def _batch(server: Target, rng: random.Random, frames: int, outcome: Outcome) ->
         try:
             if connection is None:
                 connection, elements = _arrive(server)
+                if not elements:
+                    outcome.fault("the attacker's browser is shown nothing, so that nothing is attacked")
             connection.send(Forger(rng, elements).frame())
         except (ConnectionClosed, InvalidHandshake, OSError, TimeoutError):
             cut += 1
@@ -254,6 +256,8 @@ def _watch(server: Target, ended: threading.Event, outcome: Outcome) -> None:
     except ConnectionClosed as end:
         outcome.fault(f"another browser's connection was ended: {end}")
     outcome.figures["kinds of messages of another browser"] = float(len(mine))
+    if not mine:
+        outcome.fault("another browser is shown nothing")
 
 
 def _ask(server: Target, ended: threading.Event, slowest: list[float], outcome: Outcome) -> None:

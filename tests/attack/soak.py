@@ -40,7 +40,7 @@ def rest(seconds: float, outcome: Outcome, every: float = 5.0) -> None:
         for number in range(_ENDED_RUNS):
             make_run(server.runs, f"20260101-0000{number:02}-reacher-morph-s{number}")
         samples, told = list[tuple[float, float]](), list[int]()
-        with _open_page(server, told):
+        with _open_page(server, told, outcome):
             began = time.monotonic()
             while (passed := time.monotonic() - began) < seconds:
                 samples.append((passed / 3600, server.megabytes()))
@@ -56,7 +56,7 @@ def watched(steps: int, seconds: float, outcome: Outcome, every: float = 2.0) ->
     """Watch a run of the reacher for some environment steps or seconds, and note how the server's memory grows."""
     with target() as server, server.client() as client:
         samples, told = list[tuple[float, float]](), list[int]()
-        with _open_page(server, told):
+        with _open_page(server, told, outcome):
             answer = client.post("/api/runs", json={"task": "reacher", "iterations": 10**6, "seed": outcome.seed})
             run = answer.raise_for_status().json()["id"]
             history = History(RunFolder(server.runs / run))
@@ -124,25 +124,32 @@ def _steps(history: History) -> int:
 
 
 @contextlib.contextmanager
-def _open_page(server: Target, told: list[int]) -> Iterator[None]:
+def _open_page(server: Target, told: list[int], outcome: Outcome) -> Iterator[None]:
     """Keep open what a page of the studio keeps open: the viewer's websocket, and the question for news."""
-    with beside(lambda ended: _look(server, ended, told), lambda ended: _ask(server, ended, told)):
+    with beside(lambda ended: _look(server, ended, told, outcome), lambda ended: _ask(server, ended, told, outcome)):
         yield
 
 
-def _look(server: Target, ended: threading.Event, told: list[int]) -> None:
-    with contextlib.suppress(ConnectionClosed), server.browser(_KEY) as browser:
-        browser.send(msgspec.msgpack.encode(CAMERA))
-        while not ended.is_set():
-            with contextlib.suppress(TimeoutError):
-                told.append(len(browser.recv(timeout=0.5)))
+def _look(server: Target, ended: threading.Event, told: list[int], outcome: Outcome) -> None:
+    try:
+        with server.browser(_KEY) as browser:
+            browser.send(msgspec.msgpack.encode(CAMERA))
+            while not ended.is_set():
+                with contextlib.suppress(TimeoutError):
+                    told.append(len(browser.recv(timeout=0.5)))
+    except (ConnectionClosed, OSError, TimeoutError) as error:
+        outcome.fault(f"the page that is open has lost its viewer: {error!r}")
 
 
-def _ask(server: Target, ended: threading.Event, told: list[int]) -> None:
+def _ask(server: Target, ended: threading.Event, told: list[int], outcome: Outcome) -> None:
     after: dict[str, str] = {}
     with server.client(60) as client:
         while not ended.is_set():
-            with contextlib.suppress(httpx.HTTPError):
-                answer = client.get("/api/news", params={"desk": _KEY, "wait": "20", **after})
-                told.append(len(answer.content))
-                after = {"after": answer.json()["mark"]}
+            try:
+                answer = client.get("/api/news", params={"desk": _KEY, "wait": "20", **after}).raise_for_status()
+            except httpx.HTTPError as error:
+                outcome.fault(f"the page that is open gets no news: {error!r}")
+                ended.wait(5)
+                continue
+            told.append(len(answer.content))
+            after = {"after": answer.json()["mark"]}

@@ -78,6 +78,13 @@ def test_a_full_disk_pauses_the_run_wherever_it_is_met(
         assert not list(history.folder.path.rglob(".*"))
 
 
+def flip(path: Path, at: int) -> None:
+    """Flip the lowest bit of one byte: a digit stays a digit, and a weight a number."""
+    content = bytearray(path.read_bytes())
+    content[at] ^= 1
+    path.write_bytes(content)
+
+
 DAMAGES: dict[str, Callable[[Path], object]] = {
     "no weights": lambda path: (path / "weights.safetensors").unlink(),
     "a pickle": lambda path: (path / "weights.safetensors").write_bytes(b"\x80\x04K\x01."),
@@ -85,6 +92,8 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "cut": lambda path: os.truncate(path / "weights.safetensors", 500),
     "a lying header": lambda path: (path / "weights.safetensors").write_bytes(b"\xff" * 64),
     "another's state": lambda path: (path / "state.json").write_text("{}"),
+    "a flipped bit": lambda path: flip(path / "weights.safetensors", -30),
+    "a changed digit": lambda path: flip(path / "state.json", (path / "state.json").read_bytes().index(b'"rng"') + 60),
     "deep nonsense": lambda path: (path / "state.json").write_text("[" * 100_000),
     "a link": lambda path: (
         path.rename(path.with_name("x" + path.name)),

@@ -220,10 +220,13 @@ def test_a_folder_that_may_be_a_run_and_is_none_is_listed_with_the_reason(tmp_pa
     durable.shutil.copytree(folder.path, tmp_path / "runs" / "my run (copy)")
     durable.shutil.copytree(folder.path, tmp_path / "outside")
     (tmp_path / "runs" / "linked").symlink_to(tmp_path / "outside")
+    (tmp_path / "runs" / "in a circle").symlink_to("in a circle")
+    (tmp_path / "runs" / "to nowhere").symlink_to("nowhere")
     lines = {line.id: line for line in Runs(tmp_path / "runs").summaries()}
-    assert set(lines) == {"good", "my run (copy)", "linked"}
-    assert "rename the folder" in lines["my run (copy)"].reason
+    assert set(lines) == {"good", "my run (copy)", "linked", "in a circle"}
+    assert "rename it" in lines["my run (copy)"].reason
     assert "link to a folder elsewhere" in lines["linked"].reason
+    assert "can't be looked into: Too many levels" in lines["in a circle"].reason
 
 
 def test_one_run_that_hangs_keeps_no_other_waiting(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """What somebody without a token can take from the studio: no time, no connections, and a line of the log a minute."""
 
+import contextlib
 import logging
 import socket
 import threading
@@ -9,10 +10,14 @@ from contextlib import contextmanager
 import httpx
 import pytest
 import uvicorn
+from hypothesis import example, given
+from hypothesis import strategies as st
+from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
 from studio import patience
+from studio.credentials import cookie_of
 from studio.patience import PatientProtocol
 from studio.security import GUESSED_WITHIN, MOST_GUESSES, MOST_GUESSES_OF_ALL, Guesses
 from studio.seldom import SaidOnce, Seldom
@@ -26,6 +31,18 @@ WRONG = {"Authorization": "Bearer wrong"}
 def served(tmp_path) -> Iterator[Served]:
     with serving(Settings(port=0, runs=tmp_path / "runs", token=TOKEN, hosts=(), state=tmp_path)) as running:
         yield running
+
+
+# --- cookies --------------------------------------------------------------------------------------------------------
+
+
+@given(junk=st.text(st.characters(codec="latin-1", exclude_characters="\r\n\0"), max_size=60), after=st.booleans())
+@example(junk='a="' + '\\"' * 30_000 + '"', after=True)  # over which the standard library is busy for seconds
+def test_a_cookie_is_found_among_any_others_at_once(junk: str, after: bool) -> None:
+    cookies = [junk.replace("mine", "his"), "mine=word"]
+    header = "; ".join(cookies if after else reversed(cookies))
+    assert cookie_of(Headers({"cookie": header}), "mine") == "word"
+    assert cookie_of(Headers({"cookie": junk.replace("mine", "his")}), "mine") == ""
 
 
 # --- tokens -----------------------------------------------------------------------------------------------------------
@@ -93,6 +110,14 @@ def test_a_seldom_warning_counts_what_it_has_not_said(caplog: pytest.LogCaptureF
         for now[0] in (0.0, 1.0, 59.9, 60.0, 61.0):
             warning.warn("trouble")
     assert [record.message for record in caplog.records] == ["trouble", "trouble (2 more since the last line)"]
+    assert not any(record.exc_info for record in caplog.records)
+    now[0] = 130.0
+    try:
+        raise ValueError("deep inside")
+    except ValueError:
+        warning.warn("trouble", traceback=True)
+    assert caplog.records[-1].levelno == logging.ERROR
+    assert caplog.records[-1].exc_info
 
 
 def test_a_line_is_said_once_a_minute_a_traceback_always_and_what_others_say_never() -> None:
@@ -112,14 +137,16 @@ def test_a_line_is_said_once_a_minute_a_traceback_always_and_what_others_say_nev
 
 
 @contextmanager
-def listening(monkeypatch: pytest.MonkeyPatch, seconds: float, most: int = 128) -> Iterator[tuple[uvicorn.Server, int]]:
-    """Serve an application that reads bodies whole, with so much patience."""
+def listening(
+    monkeypatch: pytest.MonkeyPatch, seconds: float, most: int = 128, body: bytes = b"hello"
+) -> Iterator[tuple[uvicorn.Server, int]]:
+    """Serve an application that reads bodies whole and answers with one, with so much patience."""
 
     async def app(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":
             while (await receive()).get("more_body"):
                 pass
-            await PlainTextResponse("hello")(scope, receive, send)
+            await PlainTextResponse(body)(scope, receive, send)
 
     monkeypatch.setattr(patience, "SECONDS", seconds)
     monkeypatch.setattr(patience, "MOST_WAITING", most)
@@ -152,6 +179,58 @@ def test_what_is_not_finished_is_closed_and_others_are_served_meanwhile(monkeypa
         assert eventually(lambda: not server.server_state.connections)
         for connection in slow:
             connection.close()
+
+
+@pytest.mark.parametrize("field", ["Protocol: \xff,,", "Version: \xff", "Protocol: a b", "Key: \xff"])
+def test_a_header_of_a_websocket_that_nobody_can_read_leaves_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, field: str
+) -> None:
+    right = {"Key": "dGhlIHNhbXBsZSBub25jZQ==", "Version": "13", **dict([field.split(": ")])}
+    header = "".join(f"Sec-WebSocket-{name}: {value}\r\n" for name, value in right.items())
+    with listening(monkeypatch, 60) as (_, port):
+        with socket.create_connection(("127.0.0.1", port), 5) as stranger:
+            upgrade = "GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            stranger.sendall((upgrade + header + "\r\n").encode("latin-1"))
+            stranger.shutdown(socket.SHUT_WR)
+            with contextlib.suppress(ConnectionError):
+                while stranger.recv(1000):
+                    pass
+        assert httpx.get(f"http://127.0.0.1:{port}/").text == "hello"
+    assert not [record for record in caplog.records if record.exc_info]
+
+
+ENDLESS = {
+    "one header": (b"GET / HTTP/1.1\r\nHost: x\r\nX-Long: ", b"x" * 65536),
+    "many headers": (b"GET / HTTP/1.1\r\nHost: x\r\n", b"X-More: x\r\n" * 5000),
+    "an address": (b"GET /", b"x" * 65536),
+    "a second header": (b"GET / HTTP/1.1\r\nHost: x\r\n\r\nGET / HTTP/1.1\r\nX-Long: ", b"x" * 65536),
+    "trailers": (
+        b"POST / HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n1\r\nx\r\n0\r\n",
+        b"X-More: x\r\n" * 5000,
+    ),
+    "an extension of a chunk": (b"POST / HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n1;", b"x" * 65536),
+}
+
+
+@pytest.mark.parametrize("what", ENDLESS)
+def test_what_never_ends_is_not_read_for_long(monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+    first, again = ENDLESS[what]
+    with listening(monkeypatch, 60) as (_, port), socket.create_connection(("127.0.0.1", port), 5) as stranger:
+        stranger.sendall(first)
+        with pytest.raises(OSError):  # noqa: PT011 - reset, or closed
+            stranger.sendall(again * (4 * patience.LONGEST_REQUEST // len(again)))
+        assert httpx.get(f"http://127.0.0.1:{port}/").text == "hello"
+
+
+def test_an_answer_that_nobody_takes_holds_no_connection(monkeypatch: pytest.MonkeyPatch) -> None:
+    with listening(monkeypatch, 0.3, body=b"x" * (8 << 20)) as (server, port):
+        with socket.socket() as stranger:
+            stranger.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            stranger.connect(("127.0.0.1", port))
+            stranger.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+            assert eventually(lambda: server.server_state.connections)
+            assert eventually(lambda: not server.server_state.connections)
+        assert len(httpx.get(f"http://127.0.0.1:{port}/").content) == 8 << 20
 
 
 def test_one_that_waits_gives_way_where_too_many_do(monkeypatch: pytest.MonkeyPatch) -> None:

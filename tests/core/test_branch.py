@@ -1,6 +1,5 @@
 """Branches: what a run takes along of its parent, that it goes on as the parent did, and replays of a run's log."""
 
-import json
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,7 +21,7 @@ from morph_core.replay import Comparison, Difference, compare
 from morph_core.run_folder import RunFolder, RunFolderError, create_run
 from morph_core.state import State
 from morph_core.train import Trainer
-from tests.core.conftest import SMALL, make_run, small_method
+from tests.core.conftest import SMALL, make_run, rewrite, small_method
 
 TASK = make_task("reacher")
 METHODS = ("morph", "cmaes_rl", "direct", "no_hw_opt", "transform2act", "value_gradient")
@@ -183,8 +182,7 @@ def test_another_design_thaws_phi_and_the_proxy_is_fitted_anew_where_phi_moved(
 ) -> None:
     method = small_method("morph", {"freeze_success": 1e-9})
     parent = trained(tmp_path, method, iterations=2)
-    facts = parent.folder.checkpoint(2) / "state.json"
-    facts.write_text(json.dumps(json.loads(facts.read_text()) | {"frozen": True, "fitted": True}))
+    rewrite(parent.folder.checkpoint(2), frozen=True, fitted=True)
     state, _ = beginning(branch(parent, 2, method, changes=change), method)
     assert (state.fitted, state.frozen) == (fitted, frozen)
 
@@ -225,6 +223,7 @@ def test_a_weight_that_is_no_number_is_refused(tmp_path: Path) -> None:
     tensors = load_file(path)
     tensors["policy/log_std"][0] = np.nan
     save_file(tensors, path)
+    rewrite(path.parent)
     with pytest.raises(RunFolderError, match="a weight is infinite or NaN"):
         origin_at(parent)
 

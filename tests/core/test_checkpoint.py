@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from morph_core.catalogue import make_task
-from morph_core.checkpoint import all_finite, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
+from morph_core.checkpoint import damage_of, load_checkpoint, load_newest, recover_checkpoints, save_checkpoint
 from morph_core.run_folder import HeartbeatFile, RunFolder, RunFolderError
 from morph_core.state import State, start
-from tests.core.conftest import SMALL, make_run, small_method
+from tests.core.conftest import SMALL, make_run, rewrite, small_method
 
 TASK = make_task("reacher")
 
@@ -105,8 +105,7 @@ def test_a_damaged_checkpoint_is_an_error_and_an_older_one_stands_in(
         case "json":
             (path / "state.json").write_text('{"iteration": 2')
         case "shape":
-            text = (path / "state.json").read_text()
-            (path / "state.json").write_text(text.replace('"phi": [', '"phi": [1.0, '))
+            rewrite(path, phi=[1.0] * 6)
         case name:
             (path / name).unlink()
     with pytest.raises(RunFolderError, match="checkpoint 2 of run can't be read"):
@@ -137,10 +136,10 @@ def test_a_run_without_checkpoints_has_no_newest(tmp_path: Path) -> None:
 
 def test_a_value_that_is_not_finite_is_noticed() -> None:
     state = start(TASK, SMALL, 0)
-    assert all_finite(state)
+    assert not damage_of(state)
     with torch.no_grad():
         next(state.hw_nn.proxy.parameters())[0] = torch.nan
-    assert not all_finite(state)
+    assert damage_of(state)
     state = start(TASK, SMALL, 0)
     state.phi = np.full(5, np.inf)
-    assert not all_finite(state)
+    assert damage_of(state)

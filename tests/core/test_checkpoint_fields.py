@@ -24,6 +24,7 @@ METHOD = replaced(search=Drift(pairs=8, designs=8), exploration=Gaussian(), desi
 NOT_KEPT = {
     "generation": "shown to people with the next evaluation, and drawn anew in every search for phi",
     "explored": "shown to people with the next evaluation, and drawn anew in every iteration",
+    "learnt_in": "says only how long a run will take, and is measured anew in every iteration",
     "searched_in": "says only how long a run will take, and is measured anew in every search for phi",
     "collected_in": "says only how long a run will take, and is measured anew in every iteration",
 }

@@ -24,7 +24,7 @@ from morph_core.search import Memory
 from morph_core.state import State, start
 from morph_core.task import Hardware, Transition
 from morph_core.train import Trainer, apply_edit
-from tests.core.conftest import make_run, small_method
+from tests.core.conftest import make_run, rewrite, small_method
 from tests.core.scales import TINY, Scales
 
 RIVAL = CmaesRl(trajectories=4, hidden=4, ppo=TINY.ppo, schedule=Schedule(10), candidate_iterations=2)
@@ -289,10 +289,7 @@ def test_the_facts_are_json() -> None:
 def test_a_checkpoint_from_before_there_were_facts_opens(tmp_path: Path) -> None:
     folder, state = make_run(tmp_path), start(Scales(), TINY, 0)
     save_checkpoint(folder, state, 0.0)
-    path = folder.checkpoint(0) / "state.json"
-    facts = json.loads(path.read_text())
-    del facts["memory"]
-    path.write_text(json.dumps(facts))
+    rewrite(folder.checkpoint(0), memory=None)
     load_checkpoint(folder, 0, Scales(), TINY)
 
 

@@ -83,6 +83,7 @@ def test_a_rollout_counts_steps_until_each_end_and_keeps_what_was_executed() -> 
     assert rollout.success_rate == 0.5
     assert rollout.returns.tolist() == [6.0, 6.0, 9.0, 9.0]
     assert rollout.s[:, 0, 2].tolist() == [0, 1, 2]
+    assert rollout.a[2, :, 0].tolist() == [0, 0, 0.5, 0.5]  # what has ended rests
     everybody = collect(Scales(ends=1), lambda o: np.zeros((len(o), 2), dtype=np.float32), task.hw_phy(phi), start)
     assert len(everybody.reward) == 1  # nobody is left to go on
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from morph_core.catalogue import make_method
-from morph_core.checkpoint import all_finite
+from morph_core.checkpoint import damage_of
 from morph_core.episodes import evaluate
 from morph_core.method import Method
 from morph_core.rollout import collect
@@ -295,7 +295,7 @@ def test_no_run_dies_of_designs_that_can_not_be_simulated(search: str) -> None:
     progress = list(itertools.islice(method.iterations(task, state), 3))
     assert 3 <= state.diverged <= 3 * method.trajectories - 6
     assert all(np.isfinite([p.episode_return, p.divergence or 0, p.search_cost or 0]).all() for p in progress)
-    assert all_finite(state)
+    assert not damage_of(state)
     task.design_space.check(state.phi)
 
 
@@ -310,4 +310,4 @@ def test_a_run_on_a_design_that_can_not_be_simulated_waits_for_a_better_one() ->
     state.fitted = False
     assert next(iterations).divergence is not None
     assert state.diverged == method.trajectories
-    assert all_finite(state)
+    assert not damage_of(state)

@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from morph_core.catalogue import METHODS, make_method, make_task
-from morph_core.checkpoint import all_finite
+from morph_core.checkpoint import damage_of
 from morph_core.divergence import divergence
 from morph_core.hw_nn import cosine_by_parameter
 from morph_core.protocol import Progress
@@ -177,7 +177,7 @@ def test_a_policy_that_reaches_no_milestone_starts_afresh_and_phi_stays(method: 
     assert state.control.policy is not learnt
     assert (state.control_start, state.last_reached) == (2, 2)
     next(iterations)
-    assert all_finite(state)
+    assert not damage_of(state)
 
 
 @pytest.mark.parametrize("method", sorted(METHODS))
@@ -189,7 +189,7 @@ def test_a_method_learns_from_the_episodes_that_could_be_simulated(method: str) 
     assert 0 < state.diverged < 4 * 32
     assert all(np.isfinite(p.episode_return) for p in progress)
     assert any(not torch.equal(before[name], weights) for name, weights in state.control.policy.state_dict().items())
-    assert all_finite(state)
+    assert not damage_of(state)
 
 
 @pytest.mark.parametrize("limit", [0.0, 0.06])

@@ -66,6 +66,8 @@ def test_what_comes_seldom_is_counted_and_not_spread() -> None:
     pace.evaluated(2.0)
     assert pace.left(10, searches=3, evaluations=2, expected=5.0) == 23.0
     assert pace.left(0, evaluations=0.5) == 1.0
+    assert pace.left(10, searches=1, settled=4, alone=0.25) == 6 * 1.0 + 3.0 + 4 * 0.25
+    assert pace.left(10, settled=4, alone=2.0) == 10.0
 
 
 def test_before_the_first_iteration_nothing_is_known_and_after_it_something() -> None:

@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import math
 import os
 import platform
 import resource
@@ -18,8 +19,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from morph_core import protocol
+from morph_core.config import LARGEST
 from morph_core.history import History
-from morph_core.protocol import Heartbeat, Progress, StateChanged
+from morph_core.protocol import Acknowledged, Heartbeat, Pause, Progress, StateChanged, Stop
 from morph_core.pulse import LOST_AFTER
 from morph_core.run_folder import (
     EventLog,
@@ -117,6 +119,34 @@ def test_commands_are_numbered_and_come_in_order(tmp_path: Path) -> None:
     log = EventLog(folder)
     log.append(protocol.Acknowledged(id=3, iteration=1, accepted=True, command=protocol.Resume()))
     assert folder.send(protocol.Stop()) == 4
+
+
+@pytest.mark.parametrize("known", [10**11, 10**12, LARGEST])
+def test_a_command_is_found_whatever_numbers_a_log_from_elsewhere_holds(tmp_path: Path, known: int) -> None:
+    folder = make_run(tmp_path)
+    log = EventLog(folder)
+    log.append(Acknowledged(id=known, iteration=0, accepted=True, command=Pause()))
+    log.append(Acknowledged(id=3, iteration=0, accepted=True, command=Pause()))
+    (folder.commands / "999999999999.json").write_text("{}")
+    assert folder.send(Stop()) == 4
+    assert [order.command for _, order in folder.pending() if order] == [Stop()]
+
+
+def test_a_log_that_counts_beyond_any_reader_is_not_written_to(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    folder.events.write_text(f'{{"kind":"state","seq":{LARGEST},"status":"running","iteration":0}}\n')
+    with pytest.raises(RunFolderError, match="no event can follow"):
+        EventLog(folder)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e200])
+def test_what_no_reader_would_take_is_not_written(tmp_path: Path, value: float) -> None:
+    folder = make_run(tmp_path)
+    log = EventLog(folder)
+    with pytest.raises(FloatingPointError, match="episode_return"):
+        log.append(Progress(iteration=1, env_steps=1, phi=[1.0] * 5, episode_return=value, success=0, policy_std=1))
+    assert folder.events.read_bytes() == b""
+    assert log.seq == 0
 
 
 def test_rubbish_in_the_inbox_is_no_order(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """A run can't be bricked: what the next iteration fails with is taken back, and what was checkpointed is resumed."""
 
-import json
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +23,7 @@ from morph_core.protocol import (
 )
 from morph_core.run_folder import EventLog, RunFolder
 from morph_core.train import Trainer
-from tests.core.conftest import make_run
+from tests.core.conftest import make_run, rewrite
 
 EDITS = (
     SetAlpha(5.0), SetProjection("one_sided"), SetBound("link_2", 1.0, 2.0), Lock("link_1", 2.0),
@@ -138,8 +137,7 @@ def test_where_nobody_has_asked_for_anything_no_command_is_named(
 @pytest.mark.parametrize("alpha", [1e39, 1e308, -1.0])
 def test_a_run_that_an_older_version_has_bricked_goes_on(folder: RunFolder, alpha: float) -> None:
     Trainer(folder, until=2).run()
-    saved = folder.checkpoint(2) / "state.json"
-    saved.write_text(json.dumps(json.loads(saved.read_text()) | {"alpha": alpha}))
+    rewrite(folder.checkpoint(2), alpha=alpha)
     log = EventLog(folder)
     log.append(Acknowledged(id=1, iteration=2, accepted=True, command=SetAlpha(alpha)))
     log.close()

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
+from test_accessibility import grave
 
 from morph_core.catalogue import make_task
 from morph_core.history import History
@@ -20,6 +21,13 @@ Opened = Callable[[Path], None]
 STATE = """show.ready.then(({ place, mode, time, frames, runners, span }) => ({
     place, mode, time, frames, span, iterations: runners.map(({ iteration }) => iteration),
 }))"""
+
+
+def wait_until(page: Page, condition: str) -> None:
+    """Wait until a function of the page's evolution says yes; the page lets no text be made a program in between."""
+    page.evaluate(f"""show.ready.then((evolution) => new Promise((go) => {{
+        (function look() {{ ({condition})(evolution) ? go() : setTimeout(look, 50); }})();
+    }}))""")
 
 
 def write_evolution(runs: Path, name: str, iterations: int) -> RunFolder:
@@ -108,7 +116,7 @@ def test_a_person_scrubs_plays_and_reads(pages: tuple[Path, Path], opened: Opene
 
     page.keyboard.press("e")
     expect(caption).to_contain_text("plays the episode of iteration 10")
-    page.wait_for_function("show.ready.then(({ time }) => time > 0.2)")
+    wait_until(page, "({ time }) => time > 0.2")
     page.keyboard.press("e")
     assert state(page)["mode"] == ""
     page.select_option("#axis", "env_steps")
@@ -116,7 +124,7 @@ def test_a_person_scrubs_plays_and_reads(pages: tuple[Path, Path], opened: Opene
     page.select_option("#pace", "10")
     page.keyboard.press("Home")
     page.keyboard.press(" ")
-    page.wait_for_function("show.ready.then(({ place }) => place > 5120)")
+    wait_until(page, "({ place }) => place > 5120")
 
 
 def test_runs_side_by_side_share_one_place(pages: tuple[Path, Path], opened: Opened, page: Page) -> None:
@@ -130,6 +138,7 @@ def test_runs_side_by_side_share_one_place(pages: tuple[Path, Path], opened: Ope
     expect(page.locator("#legend")).to_contain_text("A: long, direct, seed 0")
     expect(page.get_by_role("img", name="Design φ: length, finger 1")).to_be_visible()
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "a phone is wide enough"
+    assert grave(page) == {}
 
 
 @pytest.mark.parametrize("hidden", ["HTMLCanvasElement.prototype.getContext = () => null"])

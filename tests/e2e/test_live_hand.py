@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
+from test_accessibility import grave
 
 from morph_core.history import History
 from morph_core.tasks.grasp import GraspTask
@@ -121,6 +122,7 @@ def test_a_slider_builds_the_hand_and_says_what_cannot_be_built(
     pages: dict[str, tuple[Path, History]], opened: Opened, page: Page
 ) -> None:
     opened(pages["pen_press"][0])
+    assert grave(page) == {}
     page.get_by_label("length_1 in m").fill("0.3")
     expect(page.locator("#phi-note")).to_contain_text("not trained for this body")
     length = "show.ready.then(({ shown: [{ world }] }) => -world.model.body_pos[3 * world.body('finger_1_distal') + 2])"

@@ -16,7 +16,9 @@ def test_a_hand_runs_in_the_frame_and_the_notebook_is_out_of_its_reach(page: Pag
     page.context.set_offline(True)
     page.set_content(f"<title>A notebook</title>{view._repr_html_()}")
     (frame,) = page.main_frame.child_frames
-    frame.wait_for_function("show.ready.then((state) => state.simulated > 0.2)")
+    frame.evaluate("""show.ready.then((state) => new Promise((go) => {
+        (function look() { state.simulated > 0.2 ? go() : setTimeout(look, 50); })();
+    }))""")  # the page lets no text be made a program in between, as waiting for a function does
     assert frame.evaluate("(() => { try { return parent.document.title } catch { return 'out of reach' } })()") == (
         "out of reach"
     )

@@ -264,7 +264,8 @@ def test_runs_shows_what_people_have_noted_and_leaves_archived_ones_out(folder: 
     assert listed("--archived", "only") == [archived.id]
     assert set(listed("--archived", "show")) == {folder.id, archived.id}
     assert listed("--tag", "other") == []
-    assert "none of the 2 runs" in morph_studio("runs", "--runs", str(runs), "--tag", "other").stdout
+    none = morph_studio("runs", "--runs", str(runs), "--tag", "other", "--starred").stdout
+    assert re.search(r'none of the 2 runs in .* is listed: none is starred and tagged "other"; archived ones', none)
     assert "(archived)" in morph_studio("runs", "--runs", str(runs), "--archived", "show").stdout
 
 

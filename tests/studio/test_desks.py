@@ -158,6 +158,15 @@ def test_a_browser_that_comes_again_finds_what_it_left(room: Room) -> None:
         assert room.desks.seen(key("a")).ticks["ghost"] is False
 
 
+def test_a_choice_made_before_a_browser_was_shown_anything_is_kept(room: Room) -> None:
+    with room.browser(key("a")):
+        room.viewer_of(key("a"))
+        room.desks.put(key("a"), View(run=OTHER, iteration=2))
+        assert room.shows(key("a"), OTHER, 2)
+        room.show()
+        assert room.desks.seen(key("a")).run == OTHER
+
+
 def test_every_browser_turns_to_a_run_that_all_are_asked_to_show(room: Room) -> None:
     with room.browser(key("a")), room.browser(key("b")):
         assert room.shows(key("a"), NAME)

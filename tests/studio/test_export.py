@@ -15,7 +15,8 @@ from studio.export.check import Check
 from studio.export.errors import ExportError
 from studio.export.mjcf import write_mjcf
 from studio.export.urdf import MESHES, write_urdf
-from studio.export.verify import POSTURES, verify
+from studio.export.verify import POSTURES
+from tests.verifying import verify
 
 REACHER = make_task("reacher")
 

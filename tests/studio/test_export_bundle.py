@@ -29,8 +29,8 @@ from studio.export.archive import zipped
 from studio.export.bundle import Bundle, build_bundle
 from studio.export.errors import ExportError
 from studio.export.place import check_place, write_bundle
-from studio.export.verify import verify
 from studio.new_run import StartRun, prepare_run
+from tests.verifying import verify
 
 FAST = ("mjcf", "urdf")
 """Formats for what is no matter of prints, which take longest."""

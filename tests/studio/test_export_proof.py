@@ -5,7 +5,6 @@ import importlib.util
 import io
 import itertools
 import json
-import multiprocessing
 import os
 import re
 import subprocess
@@ -27,7 +26,6 @@ from safetensors.numpy import save_file
 from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
 from morph_core.task import Task
-from studio.export import trial
 from studio.export.archive import unzipped, zipped
 from studio.export.bundle import EPISODES, FORMATS, Bundle, build_bundle, parts_of_design, robot_files
 from studio.export.design_file import Design, PartEntry, load_design, phi_for, read_design, starting_from
@@ -38,6 +36,7 @@ from studio.export.policy import Policy, Score
 from studio.export.printers import DEFAULT
 from studio.export.proof import prove, prove_robot, unpack
 from studio.export.servos import ServoTable
+from studio.export.trial import Runner, Trial
 from studio.export.urdf import urdf_names
 from studio.export.zero import zero_of
 from studio.new_run import StartRun
@@ -311,12 +310,16 @@ def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for_by_whatever_p
         build_bundle(history, "best", ["mjcf"], servo="MG90")
 
 
-def test_a_process_that_dies_over_the_episodes_is_a_failed_check() -> None:
-    end, other = multiprocessing.Pipe(duplex=False)
-    other.close()
-    [check] = trial.awaited(end).checks
-    assert not check.passed
-    assert "its process ended without a word" in str(check)
+def test_a_process_that_can_not_run_the_episodes_is_a_failed_check_that_says_why(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for program, why in ((sys.executable, "choose from: reacher"), ("false", "its process ended without a word")):
+        monkeypatch.setattr(sys, "executable", program)
+        with Runner(apart=True) as runner:
+            runner.begin(Trial({}, "no such task", {}, [], [], None, 1))
+            [check] = runner.outcome().checks
+        assert not check.passed
+        assert why in str(check)
 
 
 def test_the_report_escapes_names_and_loads_nothing_from_elsewhere(bundle: Bundle) -> None:

@@ -30,10 +30,10 @@ from studio.export.ros import package_name
 from studio.export.screen import screen
 from studio.export.stand import check_standing
 from studio.export.urdf import CARRIER_MASS, write_urdf
-from studio.export.verify import verify
 from studio.export.zero import moved_zero
 from studio.robots.chooser import robot_of
 from tests.foreign import Pointer
+from tests.verifying import verify
 
 OLD_VERSIONS = ("3.2.7", "3.3.7", "3.10.0")
 SPEEDS = {"reacher": {2.0}, "pen_press": {0.5, 3.0}, "mouse_click": {0.5, 3.0}}  # rad/s; m/s of the palm

@@ -175,6 +175,6 @@ def test_the_tour_points_at_what_there_is(page: Page, folder: RunFolder) -> None
     page.show(folder)
     places = re.findall(r'tab\("(\w[\w ]*)"\)', (ROOT / "studio" / "page" / "tour.js").read_text())
     source = "".join(path.read_text() for path in (ROOT / "studio" / "viewer").glob("*.py"))
-    assert len(places) == 3
+    assert len(places) == 4
     for place in places:
         assert f'add_tab("{place}"' in source

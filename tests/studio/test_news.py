@@ -165,7 +165,7 @@ def test_a_folder_whose_name_is_no_text_is_listed_by_its_bytes(served: Served) -
     shutil.copytree(str(made.path).encode(), strange)
     listed = served.client.get("/api/runs").raise_for_status().json()
     assert listed[-1]["id"] == "\\xff\x1b[2J"
-    assert "rename the folder" in listed[-1]["reason"]
+    assert "rename it" in listed[-1]["reason"]
 
 
 def test_a_run_that_is_removed_says_so_to_whoever_follows_it(served: Served) -> None:

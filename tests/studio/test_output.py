@@ -182,6 +182,18 @@ def test_a_command_bears_any_place_for_its_output(
         assert (end.value.code, said) == (0, "")
 
 
+def test_help_ends_however_narrow_a_terminal_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for columns in ("1", "3", "39"):
+        monkeypatch.setenv("COLUMNS", columns)
+        monkeypatch.setattr("sys.argv", ["morph-studio", "runs", "--help"])
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert end.value.code == 0
+        assert "--runs DIR" in capsys.readouterr().out
+
+
 def test_the_version_names_what_a_report_of_a_fault_needs(capsys: pytest.CaptureFixture[str]) -> None:
     for words in (["--version"], ["-V"]):
         assert run(words) == 0

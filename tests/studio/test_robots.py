@@ -28,7 +28,7 @@ from studio.export.control import control_settings
 from studio.export.errors import ExportError
 from studio.export.policy import Policy
 from studio.export.proof import prove, unpack
-from studio.export.urdf import write_urdf
+from studio.export.urdf import urdf_names, write_urdf
 from studio.robots.arm import ArmRobot
 from studio.robots.chooser import robot_of
 from studio.robots.hand import HandRobot
@@ -349,6 +349,10 @@ def test_links_have_names_of_their_own_and_those_of_the_urdf() -> None:
     urdf = write_urdf(model, "robot.urdf", "robot")["robot.urdf"].decode()
     assert all(f'<link name="{name}"' in urdf for name in names)
     assert [body_of(model, name) for name in names] == list(range(5))
+    for name in ('<arm>\n& "claw"', "<arm> & 'claw'", "arm/claw-1.2"):
+        spec.worldbody.add_body(name=name).add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0])
+    plain = ["_arm_claw_", "_arm_claw__2", "arm/claw-1.2"]
+    assert urdf_names(spec.compile()).links == [*names, *plain], "Gazebo drops a robot with such signs in a name"
     with pytest.raises(ValueError, match='no link "tail"; it has: base'):
         body_of(model, "tail")
 

@@ -2,6 +2,7 @@
 
 import math
 import os
+import platform
 import signal
 import subprocess
 import time
@@ -14,8 +15,8 @@ from conftest import eventually, in_mood, make_run, stand_in
 
 from morph_core.catalogue import make_method, make_task
 from morph_core.config import flattened
-from morph_core.protocol import InjectDesign, Lock, Parameter, Pause, SetAlpha, SetBound, StateChanged, Stop
-from morph_core.run_folder import EventLog, RunFolder, RunFolderError
+from morph_core.protocol import Heartbeat, InjectDesign, Lock, Parameter, Pause, SetAlpha, SetBound, StateChanged, Stop
+from morph_core.run_folder import EventLog, HeartbeatFile, RunFolder, RunFolderError
 from studio.histories import KEPT
 from studio.new_run import StartRun, git_state, prepare_run
 from studio.runs import Runs
@@ -182,6 +183,17 @@ def test_a_killed_trainer_is_told_with_its_signal_and_can_be_resumed(runs_folder
     runs.resume(run_id)
     assert runs.summary(run_id).status in ("starting", "running"), "the earlier death is no news of this trainer"
     assert eventually(lambda: runs.summary(run_id).status == "running")
+
+
+def test_a_lost_run_takes_other_edits_too(runs_folder: Path) -> None:
+    folder = make_run(runs_folder, "20260101-a", ended="running")
+    HeartbeatFile(folder).write(Heartbeat(platform.node(), 2**22 + 1, 0.0, 0.0, "running", "learning", 3, 100))
+    runs = Runs(runs_folder, stand_in)
+    assert runs.summary(folder.id).status == "lost"
+    runs.send(folder.id, SetAlpha(2.0))
+    with pytest.raises(ValueError, match="is lost: resume it"):
+        runs.send(folder.id, Stop())
+    assert [order.command for _, order in folder.pending() if order] == [SetAlpha(2.0)]
 
 
 def test_the_death_of_an_adopted_trainer_is_told_too(runs_folder: Path) -> None:

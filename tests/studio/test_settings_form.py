@@ -98,3 +98,12 @@ def test_choices_that_come_at_once_leave_one_form(page: Page) -> None:
         for chosen in [pool.submit(form._choose_part) for _ in range(12)]:
             chosen.result()
     assert len(form._folders) == len(form._slot._children)
+
+
+def test_settings_that_are_read_while_they_are_made_anew_are_whole(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    form, seen = page.viewer.start.settings, list[set[str]]()
+    before, add = set(form._more), form._add
+    monkeypatch.setattr(form, "_add", lambda field: (seen.append(set(form._more)), add(field))[1])
+    form.search.value = "drift"
+    assert seen
+    assert all(names == before for names in seen)

@@ -23,6 +23,7 @@ from morph_core.protocol import (
     SetBound,
     SetProjection,
     StateChanged,
+    Status,
     StepIteration,
     Stop,
     Unlock,
@@ -51,6 +52,24 @@ def test_buttons_follow_the_status(page: Page, folder: RunFolder) -> None:
     ):
         page.show(folder, status)  # pyright: ignore[reportArgumentType]
         assert (run.pause.visible, run.resume.visible, run.more.visible) == (pause, resume, more), status
+
+
+@pytest.mark.parametrize("status", ["failed", "lost", "stopped", "finished"])
+def test_a_run_that_can_not_go_on_takes_other_edits_and_says_when_they_hold(
+    page: Page, folder: RunFolder, status: Status
+) -> None:
+    page.show(folder, status)
+    steer, design = page.viewer.steer, page.viewer.design
+    takes = status in ("failed", "lost")
+    assert steer.form.visible == takes
+    assert [button.visible for button in design._buttons] == [takes, takes]
+    for note in (steer.note, design.note):
+        assert ("obeyed when the run is resumed" in note.content) == takes
+        assert ("branch from it" in note.content) != takes
+    steer.alpha.value = 2.0
+    page.viewer.wishes.send(steer.commands, None)
+    page.show(folder, status)
+    assert ("waits: obeyed once the run is resumed" in page.viewer.run.log.content) == takes
 
 
 def test_another_kind_of_processor_is_said_on_the_panel(page: Page, folder: RunFolder) -> None:

@@ -50,6 +50,26 @@ def drag(panel: WhatIfPanel, i: int, value: float) -> None:
     panel._drag(i, None)
 
 
+def test_what_people_do_waits_while_another_run_is_shown(page: Page, panel: WhatIfPanel) -> None:
+    slider, done = panel._rows[0].slider, threading.Event()
+
+    def press() -> None:
+        for button in (panel.reset, panel.sweep, panel.stop_sweep, panel.leave):
+            click(button)
+        done.set()
+
+    with page.viewer._lock:
+        thread = threading.Thread(target=press)
+        thread.start()
+        assert not done.wait(0.1)
+        assert panel.open
+    assert done.wait(20)
+    thread.join()
+    panel._rows = []  # as when a run of another task is opened
+    for callback in slider._impl.update_cb:
+        callback(SimpleNamespace(client=SimpleNamespace(), target=slider))  # pyright: ignore[reportArgumentType]
+
+
 def test_the_sliders_begin_at_the_design_of_the_timeline_and_its_policy_is_tried(
     page: Page, panel: WhatIfPanel
 ) -> None:

@@ -21,6 +21,7 @@ BALL_RADIUS = 0.07  # m
 
 ROBOT = """
 <mujoco model="own_throw">
+  <option integrator="implicitfast"/>
   <worldbody>
     <geom name="post" type="cylinder" fromto="0 .12 0 0 .12 1.2" size=".045" rgba=".35 .37 .42 1"/>
     <geom name="shoulder" type="cylinder" fromto="0 .12 1.2 0 0 1.2" size=".045" rgba=".35 .37 .42 1"/>
@@ -35,13 +36,22 @@ ROBOT = """
     </body>
     {others}
   </worldbody>
+  <contact>
+    <exclude body1="world" body2="upper_arm"/>
+  </contact>
+  <actuator>
+    <position name="shoulder" joint="shoulder" kp="20000" kv="400"/>
+    <position name="elbow" joint="elbow" kp="20000" kv="400"/>
+  </actuator>
 </mujoco>
 """
+"""The robot as it is shown and exported: its servos hold it in any simulator, and its shoulder does not collide with
+the arm that turns in it."""
 OTHERS = """
-    <body name="ball">
+    <body name="ball" gravcomp="1">
       <joint name="ball_x" type="slide" axis="1 0 0"/>
       <joint name="ball_z" type="slide" axis="0 0 1"/>
-      <geom name="ball" size=".07" rgba=".84 .37 0 1"/>
+      <geom name="ball" size=".07" rgba=".84 .37 0 1" contype="0" conaffinity="0"/>
     </body>
     <geom name="table" type="plane" size="2.5 .5 .1" pos="1.5 0 0" rgba=".72 .7 .66 1"/>
     <geom name="goal" type="cylinder" pos="{x} 0 {z}" zaxis="1 0 0" size="{radius} .015" rgba=".8 .47 .65 1"/>

@@ -53,7 +53,7 @@ class Chart {
     Object.assign(this, { axis, bounds, logarithmic, lines });
     this.node = document.createElement("figure");
     this.node.className = "chart";
-    const heading = document.createElement("h3"), legend = document.createElement("ul");
+    const heading = document.createElement("h2"), legend = document.createElement("ul");
     heading.textContent = title;
     this.values = lines.map(({ label, colour, dash }) => {
       const entry = document.createElement("li"), value = document.createElement("b"), width = 18;

@@ -433,7 +433,7 @@ function connect(evolution) {
   };
   document.addEventListener("keydown", (event) => {
     const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key], { target } = event;
-    if (!act || event.ctrlKey || event.metaKey || event.altKey || target.closest?.("select, summary, pre")) return;
+    if (!act || event.ctrlKey || event.metaKey || event.altKey || target.closest?.("select, summary, pre, .wide")) return;
     if (event.key === " " && target.closest?.('button, input[type="checkbox"]')) return;
     event.preventDefault();
     act(event);

@@ -10,9 +10,9 @@ const missing = { webgl: "This browser has no WebGL, so that nothing moves here.
 const STAYS = "The picture and the numbers are all the same those of this design.";
 
 /** Say why nothing runs; the picture and the numbers stay. */
-function giveUp(sentence) {
+function giveUp(sentence, stays = STAYS) {
   document.body.dataset.state = "still";
-  say(`${sentence} ${STAYS}`);
+  say(`${sentence} ${stays}`.trim());
 }
 
 class Tally {
@@ -258,7 +258,7 @@ async function begin() {
   $("loading").hidden = false;
   const packed = unpackedText("hands"), wasm = unpacked("wasm"), drawn = graphics();
   const hands = JSON.parse(await packed);
-  if (!hands.designs.length) return giveUp(hands.missing);
+  if (!hands.designs.length) return giveUp(hands.missing, "");
   if (typeof WebAssembly !== "object") return giveUp(missing.wasm);
   if (!drawn.there) return giveUp(missing.webgl);
   say(hands.missing);

@@ -44,7 +44,7 @@ class View {
 
   dot() {
     const shape = (radius, opacity) => new THREE.Mesh(
-      new THREE.SphereGeometry(radius, 16, 12),
+      new THREE.SphereGeometry(radius, 12, 8),
       new THREE.MeshBasicMaterial({ color: LIT.contact, transparent: true, opacity, depthTest: false }),
     );
     const dot = shape(0.008, 1);
