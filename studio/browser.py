@@ -6,7 +6,9 @@ import webbrowser
 from collections.abc import Mapping
 from pathlib import PurePath
 
-_IN_A_TERMINAL = frozenset({"browsh", "elinks", "links", "links2", "lynx", "w3m", "www-browser"})
+_IN_A_TERMINAL = frozenset(
+    ("browsh", "carbonyl", "cha", "edbrowse", "elinks", "links", "links2", "lynx", "netrik", "w3m", "www-browser")
+)
 """Browsers that would take the terminal over in which the server runs."""
 
 

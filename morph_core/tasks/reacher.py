@@ -341,8 +341,8 @@ class Reacher(Settings, Task):
                 begin = end - count
                 posture = np.arange(end[-1])
                 part = (posture - (begin - 1).repeat(count)).astype(np.float32) / n.repeat(count)
-                centre, arm = pivot[:, near].repeat(count, 1), carried[:, :, near].repeat(count, 2)
-                swept = _turned(centre, arm, part * angle[j, near].repeat(count))
+                centre, spokes = pivot[:, near].repeat(count, 1), carried[:, :, near].repeat(count, 2)
+                swept = _turned(centre, spokes, part * angle[j, near].repeat(count))
                 touches = self.walls.touches(swept[0], swept[1], TOLERANCE)
                 first = np.minimum.reduceat(np.where(touches, posture, end[-1]), begin)
                 done[j, near] = (np.minimum(first, end) - begin) / n

@@ -123,7 +123,7 @@ class Runner:
         assert self._process.stdout is not None
         try:
             return msgspec.msgpack.decode(self._process.stdout.read(), type=Outcome)
-        except msgspec.DecodeError:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return _failed("its process ended without a word, perhaps for want of memory")
 
     def _end(self) -> None:

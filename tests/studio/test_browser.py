@@ -62,7 +62,7 @@ def test_a_browser_with_a_window_is_opened(name: str, opened: Opened) -> None:
     assert opened(name, {"DISPLAY": ":0"}) == [LINK]
 
 
-@pytest.mark.parametrize("name", ["w3m", "/usr/bin/lynx", "www-browser", "elinks"])
+@pytest.mark.parametrize("name", ["w3m", "/usr/bin/lynx", "www-browser", "elinks", "carbonyl"])
 def test_a_browser_in_the_terminal_is_left_alone(name: str, opened: Opened) -> None:
     assert opened(name, {"DISPLAY": ":0"}) == []
 
