@@ -122,6 +122,13 @@ def test_a_run_that_goes_while_it_is_listed_is_left_out_and_a_long_reason_is_cut
     assert [(line.id, len(line.reason)) for line in runs.summaries()] == [("a", LONGEST_REASON), ("b", LONGEST_REASON)]
 
 
+def test_a_run_at_rest_that_waits_for_its_trainer_is_queued(three: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = Runs(three)
+    runs.rows()
+    monkeypatch.setattr(runs._statuses, "in_queue", lambda *_: ("queued", "two others go before"))
+    assert {(line.status, line.reason) for line in runs.summaries()} == {("queued", "two others go before")}
+
+
 def lost(folder: Path, name: str) -> HeartbeatFile:
     """Make a run whose trainer is gone without a word; return its heartbeat."""
     run = make_run(folder, name)

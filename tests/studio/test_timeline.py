@@ -460,6 +460,9 @@ def test_a_gallery_has_the_starred_designs_first_and_a_few_over_all_iterations(f
     said = {piece.iteration: piece.words for piece in pieces}
     assert (said[40], said[0]) == ("100 % success, best", "initial")
     assert sum(piece.starred for piece in pieces_of(History(folder), range(1, 101))) == MOST_STARRED
+    history = History(folder)
+    history.evaluations = [e for e in history.evaluations if e.iteration % 10 == 0]
+    assert all(piece.iteration % 10 == 0 for piece in pieces_of(history, ())), "those that were evaluated say more"
 
 
 def test_a_gallery_is_drawn_when_asked_for_and_a_click_turns_to_a_design(page: Page, folder: RunFolder) -> None:
