@@ -60,6 +60,19 @@ def test_a_scene_that_is_given_a_design_is_the_scene_made_for_it(task: GraspTask
     assert stored(scene.compile()) == stored(task.scene(second).compile())
 
 
+def test_a_scene_of_ones_own_is_made_for_each_design() -> None:
+    class Weighed(PenPress):
+        def scene(self, phi: np.ndarray) -> mujoco.MjSpec:
+            spec = super().scene(phi)
+            spec.geom("object").mass = float(phi[-1])
+            return spec
+
+    task, space = Weighed(), TASK.design_space
+    designs = np.random.default_rng(0).uniform(space.lo, space.hi, (2, len(space)))
+    masses = [model.body("object").mass[0] for model in task.hw_phy(designs)._models]
+    assert masses == pytest.approx(designs[:, -1])
+
+
 def play(task: PenPress, hw_phy: Hardware, s: np.ndarray, seed: int, steps: int) -> list[Transition]:
     """Close the fingers and rise, with noise: contact from the fifth step or so on."""
     rng, taken = np.random.default_rng(seed), []
