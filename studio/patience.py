@@ -73,6 +73,9 @@ class PatientProtocol(HttpProtocol):
             super().handle_websocket_upgrade(*request)
         except Exception:  # the library that reads the header raises whatever a stranger's comes to
             _unreadable.warn("closed a connection: the header of its websocket can't be read")
+            # Of the protocol that was to take over nobody else knows: left there, it fails the end of the server.
+            taking_over = [other for other in self.connections if getattr(other, "transport", None) is self.transport]
+            self.connections.difference_update(taking_over)
             self.transport.abort()
 
     @property

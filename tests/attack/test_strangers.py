@@ -187,7 +187,7 @@ def test_a_header_of_a_websocket_that_nobody_can_read_leaves_no_traceback(
 ) -> None:
     right = {"Key": "dGhlIHNhbXBsZSBub25jZQ==", "Version": "13", **dict([field.split(": ")])}
     header = "".join(f"Sec-WebSocket-{name}: {value}\r\n" for name, value in right.items())
-    with listening(monkeypatch, 60) as (_, port):
+    with listening(monkeypatch, 60) as (server, port):
         with socket.create_connection(("127.0.0.1", port), 5) as stranger:
             upgrade = "GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             stranger.sendall((upgrade + header + "\r\n").encode("latin-1"))
@@ -196,6 +196,7 @@ def test_a_header_of_a_websocket_that_nobody_can_read_leaves_no_traceback(
                 while stranger.recv(1000):
                     pass
         assert httpx.get(f"http://127.0.0.1:{port}/").text == "hello"
+        assert eventually(lambda: not server.server_state.connections)
     assert not [record for record in caplog.records if record.exc_info]
 
 

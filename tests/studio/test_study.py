@@ -236,6 +236,12 @@ def furthest(out: Path) -> list[int]:
     return [History(folder).iteration if folder.path.exists() else 0 for folder in folders]
 
 
+def trainer_of(run: Path) -> int:
+    """Return the process number of a run's trainer, 0 where none is alive."""
+    launch = read_launch(run)
+    return launch.trainer.pid if launch and process_alive(launch.trainer.pid, launch.trainer.started) else 0
+
+
 def found_by(out: Path) -> dict[str, list[tuple[int, list[str]]]]:
     """Return environment steps and phi, to the last bit, of every iteration and evaluation of every run."""
     return {
@@ -258,9 +264,11 @@ def test_kills_of_queue_and_trainers_and_ctrl_c_change_nothing_of_what_is_found(
     second = study(killed)
     here = furthest(killed)
     assert eventually(lambda: max(furthest(killed)) > max(here), 120)
-    launches = [read_launch(killed / planned.run) for planned in read_study(killed).runs]
-    alive = [one.trainer for one in launches if one and process_alive(one.trainer.pid, one.trainer.started)]
-    os.kill(alive[0].pid, signal.SIGKILL)
+    at_work = [run for run in (planned.run for planned in read_study(killed).runs) if trainer_of(killed / run)]
+    lost = trainer_of(killed / at_work[0])
+    os.kill(lost, signal.SIGKILL)
+    # Trainers outlive their queue: that the second one is at work shows where it starts another.
+    assert eventually(lambda: trainer_of(killed / at_work[0]) not in (0, lost), 120)
     assert eventually(lambda: sum(furthest(killed)) > sum(here) + 4, 120)
     second.send_signal(signal.SIGINT)
     said, _ = second.communicate(timeout=120)
