@@ -60,6 +60,7 @@ def test_the_printed_link_lets_one_browser_in_and_is_followed_by_the_next(tmp_pa
             assert other.get(following).status_code == 200
 
 
+@pytest.mark.slow
 def test_a_page_stays_open_over_a_restart_of_the_server(tmp_path: Path) -> None:
     with httpx.Client() as browser:
         with process(tmp_path) as (_, link):

@@ -298,6 +298,7 @@ def test_an_export_without_a_place_goes_into_the_run(folder: RunFolder) -> None:
         assert "robot.xml" not in archive.namelist()
 
 
+@pytest.mark.slow
 def test_a_design_from_a_bundle_is_shown_and_starts_a_run(folder: RunFolder, tmp_path: Path) -> None:
     bundle = morph_studio("export", str(folder.path), "--formats", "urdf").stdout.strip()
     shown = morph_studio("import", bundle)

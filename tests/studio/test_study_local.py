@@ -154,6 +154,7 @@ def test_a_queue_finishes_every_run_and_keeps_its_cap(directory: Path) -> None:
     assert most_at_once(directory) == 2
 
 
+@pytest.mark.slow
 def test_two_queues_share_the_work_and_a_killed_one_loses_nothing(directory: Path) -> None:
     study = make_study(directory, 7)
     first = queue_process(directory, 2)

@@ -24,6 +24,7 @@ def finished(history: History) -> bool:
     return history.status == "finished"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dead", [False, True])
 def test_a_run_is_trained_by_the_reserve_or_without_it(tmp_path: Path, dead: bool) -> None:
     folder = prepare_run(tmp_path, StartRun(task="reacher", iterations=2, settings=TINY))

@@ -328,6 +328,7 @@ def test_the_command_measures_another_design_and_along_each_parameter(history: H
     assert [p["value"] for p in points[:POINTS]] == pytest.approx(np.linspace(0.05, 5, POINTS))
 
 
+@pytest.mark.slow
 def test_the_command_says_a_sweep_in_a_table(history: History) -> None:
     done = evaluate(str(history.folder.path), "--sensitivity", "--episodes", "1", "--policy", "deterministic")
     lines = [line for line in done.stdout.splitlines() if line.strip()]
