@@ -9,11 +9,13 @@ import numpy as np
 from morph_core.config import Alpha, Projection, check_value
 from morph_core.design import DesignSpace
 from morph_core.history import InForce
-from morph_core.protocol import InjectDesign, Lock, SetAlpha, SetBound, SetProjection, Unlock
+from morph_core.protocol import InjectDesign, Lock, SetAlpha, SetBound, SetProjection, Status, Unlock
 from morph_core.task import Task
 
 AnyEdit = SetAlpha | SetProjection | SetBound | Lock | Unlock | InjectDesign
 """The commands that change what is in force; all others only steer the trainer."""
+TAKES_LATER_EDITS: tuple[Status, ...] = ("failed", "lost")
+"""States of a run without a trainer that takes edits all the same: they are obeyed before it goes on."""
 
 
 @dataclass(frozen=True)

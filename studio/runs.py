@@ -11,7 +11,7 @@ import msgspec
 
 from morph_core import inside
 from morph_core.catalogue import make_task
-from morph_core.edits import AnyEdit
+from morph_core.edits import TAKES_LATER_EDITS, AnyEdit
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, Evaluation, Kill, Parent, Resume, RunRecord, Status, Stop
 from morph_core.pulse import at_work
@@ -304,7 +304,7 @@ class Runs:
         command = check_command(command, history.in_force, task)
         with self._histories.turn(run_id):
             alive, (status, _) = self._inquest.is_alive(history), self.status(history)
-        if not alive and not (status in ("failed", "lost") and isinstance(command, AnyEdit)):  # obeyed at its resume
+        if not alive and not (status in TAKES_LATER_EDITS and isinstance(command, AnyEdit)):  # obeyed at its resume
             if status != "queued":
                 raise ValueError(f"{run_id} is {status}: resume it, then send commands")
             if not isinstance(command, Stop) or not slurm_launch(history.folder):

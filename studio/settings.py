@@ -18,9 +18,9 @@ FEWEST_DIFFERENT = 6
 def default_port() -> int:
     """Return PORT from the environment, or 8000; raise ValueError if it is no number."""
     text = os.environ.get("PORT") or "8000"
-    if not text.isdecimal():
+    if not text.isdecimal() or len(text) > len("65535"):
         raise ValueError(f"PORT must be a whole number from 0 to 65535, not {text[:40]!r}")
-    return int(text[:9])
+    return int(text)
 
 
 def default_runs() -> Path:

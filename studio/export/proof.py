@@ -169,6 +169,7 @@ def prove_robot(
     """Compare MJCF, URDF and parts with the robot that phi (d,) makes."""
     robot = robot_of(task)
     model, printed = task.spec(phi).compile(), robot.printed
+    moved = moved_zero(task.spec(phi), robot.zero(phi)).compile()  # with the zeros of the files
     with tempfile.TemporaryDirectory() as name:
         folder, load = Path(name), cache(load_model)  # to build a model takes long
         unpack(files, folder)
@@ -178,11 +179,11 @@ def prove_robot(
         if robot.printed:  # what a stranger's robot does without commands is not known
             checks += _guarded("standing", lambda: _check_standing(folder, design.robot, model, load))
     for urdf in [path for path in (f"{design.robot}.urdf", *in_packages(files, design.robot)) if path in files]:
-        checks += _guarded(urdf, lambda urdf=urdf: _check_urdf(urdf, files[urdf], task, phi))
+        checks += _guarded(urdf, lambda urdf=urdf: _check_joints(urdf, files[urdf], model, moved, robot.speeds))
     if (archive := f"{design.robot}.mjz") in files:
         checks += _guarded(archive, lambda: [check_archive(files, design.robot)])
     if any(path.startswith(f"{FOLDER}/") for path in files):
-        size = float(_moved(task, phi).stat.extent)
+        size = float(moved.stat.extent)
         checks += _guarded(FOLDER, lambda: [check_package(files, design.robot, task.name, size)])
     read = cache(lambda path: read_3mf(files[path]))  # a part's file is looked at as a part, and as a plate
     for part in design.parts:
@@ -206,19 +207,18 @@ def _check_standing(
     return checks
 
 
-def _check_urdf(path: str, content: bytes, task: Task, phi: np.ndarray) -> list[Check]:
-    """Compare what a URDF says of its joints, which readers pass over, with what the task asks of them."""
-    model = task.spec(phi).compile()
+def _check_joints(
+    path: str, content: bytes, model: mujoco.MjModel, moved: mujoco.MjModel, speeds: Mapping[str, float]
+) -> list[Check]:
+    """Compare what a URDF says of its joints, which readers pass over, with what the task asks of them.
+
+    `moved` is the model with the zeros of the files.
+    """
     return [
-        _check_speeds(path, content, model, robot_of(task).speeds),
+        _check_speeds(path, content, model, speeds),
         _check_frictions(path, content, model),
-        check_drives(path, content, _moved(task, phi)),
+        check_drives(path, content, moved),
     ]
-
-
-def _moved(task: Task, phi: np.ndarray) -> mujoco.MjModel:
-    """Return the robot of a design (d,) with the zeros of the files."""
-    return moved_zero(task.spec(phi), robot_of(task).zero(phi)).compile()
 
 
 def _check_speeds(path: str, content: bytes, model: mujoco.MjModel, speeds: Mapping[str, float]) -> Check:

@@ -33,6 +33,8 @@ from studio.robots.chooser import robot_of
 
 APART = 100
 """Number of episodes from which a process of its own pays: fewer take less time than to start one."""
+PATIENCE = 600.0
+"""Seconds after which a trial is given up; one of 256 episodes takes seven of the processor."""
 _TURN = threading.Lock()
 """Held by the trial that is under way: each takes all cores, and memory of its own."""
 
@@ -120,9 +122,11 @@ class Runner:
             return Outcome(None, [], None)
         if not self._apart:
             return self._trial.run()
-        assert self._process.stdout is not None
         try:
-            return msgspec.msgpack.decode(self._process.stdout.read(), type=Outcome)
+            told, _ = self._process.communicate(timeout=PATIENCE)
+            return msgspec.msgpack.decode(told, type=Outcome)
+        except subprocess.TimeoutExpired:
+            return _failed(f"the episodes took more than {PATIENCE:g} s")
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return _failed("its process ended without a word, perhaps for want of memory")
 

@@ -5,12 +5,13 @@ from collections.abc import Sequence
 import viser
 
 from morph_core.design import DesignSpace
+from morph_core.edits import TAKES_LATER_EDITS
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, Parameter, Status
 from studio.viewer import wording
 from studio.viewer.bounds import BoundsForm, Group, Row
 from studio.viewer.parts import unit_of
-from studio.viewer.run import NOT_LIVE, OBEYED_LATER, TAKES_LATER_EDITS, Send
+from studio.viewer.run import NOT_LIVE, OBEYED_LATER, Send
 
 
 class DesignPanel:

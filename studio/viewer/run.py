@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 import viser
 
+from morph_core.edits import TAKES_LATER_EDITS
 from morph_core.history import History
 from morph_core.protocol import (
     AnyCommand,
@@ -22,8 +23,6 @@ from studio.viewer import wording
 from studio.viewer.rules import rules_of
 
 NOT_LIVE: tuple[Status, ...] = ("queued", "stopped", "finished", "failed", "lost", "unreadable")
-TAKES_LATER_EDITS: tuple[Status, ...] = ("failed", "lost")
-"""States of a run without a trainer that takes edits all the same: they are obeyed before it goes on."""
 OBEYED_LATER = "What is applied now is obeyed when the run is resumed (Run tab), before it goes on."
 RESUMABLE: tuple[Status, ...] = ("stopped", "failed", "lost")
 _LOG_LINES = 8

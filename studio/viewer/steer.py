@@ -6,11 +6,12 @@ import viser
 
 from morph_core.catalogue import METHODS
 from morph_core.config import LARGEST_ALPHA, Alpha, Projection, check_value
+from morph_core.edits import TAKES_LATER_EDITS
 from morph_core.history import History
 from morph_core.protocol import AnyCommand, SetAlpha, SetProjection, Status
 from studio.fields import docs_of
 from studio.viewer import explain, wording
-from studio.viewer.run import NOT_LIVE, OBEYED_LATER, TAKES_LATER_EDITS, Send
+from studio.viewer.run import NOT_LIVE, OBEYED_LATER, Send
 
 
 class SteerPanel:

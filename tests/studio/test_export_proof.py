@@ -311,10 +311,18 @@ def test_a_servo_that_is_too_weak_is_compared_when_it_is_asked_for_by_whatever_p
 
 
 def test_a_process_that_can_not_run_the_episodes_is_a_failed_check_that_says_why(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    for program, why in ((sys.executable, "choose from: reacher"), ("false", "its process ended without a word")):
+    stuck = tmp_path / "stuck"
+    stuck.write_text("#!/bin/sh\nexec sleep 60\n")
+    stuck.chmod(0o755)
+    for program, why, patience in (
+        (sys.executable, "choose from: reacher", 60.0),
+        ("false", "its process ended without a word", 60.0),
+        (str(stuck), "took more than 0.2 s", 0.2),
+    ):
         monkeypatch.setattr(sys, "executable", program)
+        monkeypatch.setattr("studio.export.trial.PATIENCE", patience)
         with Runner(apart=True) as runner:
             runner.begin(Trial({}, "no such task", {}, [], [], None, 1))
             [check] = runner.outcome().checks
