@@ -12,6 +12,7 @@ const AT_WORK = ["starting", "running", "pausing", "paused"];
 
 let plainTasks = [];
 let drawn = ""; // what the table of the design was drawn from
+let designRows = []; // one for each entry of phi
 let begun = false;
 
 const runAddress = (rest) => `api/runs/${encodeURIComponent(view.run)}${rest}`;
@@ -60,24 +61,44 @@ function showDeeds(status) {
 
 const shortly = (value) => String(Number(value.toPrecision(4)));
 
-function rowOf(parameter, value, atWork) {
-  const bound = (end) => element("input", { type: "number", step: "any", value: parameter[end], disabled: !atWork, ariaLabel: `${end === "lo" ? "lowest" : "highest"} ${parameter.name}` });
-  const [lo, hi] = [bound("lo"), bound("hi")];
-  const held = element("input", { type: "checkbox", checked: parameter.locked_at !== null, disabled: !atWork, ariaLabel: `hold ${parameter.name}` });
-  const set = element("button", { type: "button", textContent: "Set", disabled: !atWork, ariaLabel: `Set the bounds of ${parameter.name}` });
-  held.addEventListener("change", () => command({ type: held.checked ? "lock" : "unlock", name: parameter.name }));
-  set.addEventListener("click", () => command({ type: "set_bound", name: parameter.name, lo: Number(lo.value), hi: Number(hi.value) }));
-  const cells = [shortly(value), lo, hi, parameter.unit, held, set].map((content) => element("td", {}, content));
-  return element("tr", {}, element("th", { scope: "row", textContent: parameter.name }), ...cells);
+function rowOf({ name, unit }) {
+  const bound = (end) => element("input", { type: "number", step: "any", required: true, ariaLabel: `${end} ${name}` });
+  const [value, lo, hi] = [element("td"), bound("lowest"), bound("highest")];
+  const held = element("input", { type: "checkbox", ariaLabel: `hold ${name}` });
+  const set = element("button", { type: "button", textContent: "Set", ariaLabel: `Set the bounds of ${name}` });
+  held.addEventListener("change", () => command({ type: held.checked ? "lock" : "unlock", name }));
+  set.addEventListener("click", () => {
+    if (![lo, hi].every((input) => input.reportValidity())) return;
+    for (const input of [lo, hi]) input.defaultValue = input.value; // what is in force shows from now on
+    command({ type: "set_bound", name, lo: Number(lo.value), hi: Number(hi.value) });
+  });
+  const show = (parameter, phi, atWork) => {
+    value.textContent = shortly(phi);
+    for (const [input, inForce] of [[lo, String(parameter.lo)], [hi, String(parameter.hi)]]) {
+      if (input.value === input.defaultValue) input.value = inForce; // else somebody is typing: it stays until it is set
+      input.defaultValue = inForce;
+    }
+    if (held !== document.activeElement) held.checked = parameter.locked_at !== null;
+    for (const control of [lo, hi, held, set]) control.disabled = !atWork;
+  };
+  const cells = [lo, hi, unit, held, set].map((content) => element("td", {}, content));
+  return { row: element("tr", {}, element("th", { scope: "row", textContent: name }), value, ...cells), show };
 }
 
 async function showDesign(run) {
   const seen = JSON.stringify([run.id, run.status, run.iteration, refused]);
-  if (seen === drawn || find("plain-design").contains(document.activeElement)) return;
+  if (seen === drawn) return;
   drawn = seen;
-  const { parameters, phi } = await ask(runAddress(""));
-  const atWork = AT_WORK.includes(run.status);
-  find("plain-design").tBodies[0].replaceChildren(...(parameters ?? []).map((one, i) => rowOf(one, phi[i], atWork)));
+  const detail = await ask(runAddress(""));
+  if (drawn !== seen) return; // a later look has asked anew
+  const parameters = detail.parameters ?? [];
+  const table = find("plain-design");
+  if (table.dataset.run !== run.id || designRows.length !== parameters.length) {
+    table.dataset.run = run.id;
+    designRows = parameters.map(rowOf);
+    table.tBodies[0].replaceChildren(...designRows.map(({ row }) => row));
+  }
+  designRows.forEach(({ show }, i) => show(parameters[i], detail.phi[i], AT_WORK.includes(run.status)));
   find("plain-picture").src = runAddress(`/thumbnail.png?design=latest&${run.iteration}`);
 }
 

@@ -45,11 +45,19 @@ def test_a_run_is_started_steered_and_exported_without_webgl(server: Server, fla
     expect(page.locator("#chip")).to_contain_text("running")
     expect(page.locator("#plain-words")).to_contain_text("iteration")
 
+    page.get_by_label("highest link_1").fill("2.5")
+    page.get_by_label("Seed").focus()
+    shown = page.locator("#plain-words").inner_text()
+    expect(page.locator("#plain-words")).not_to_have_text(shown)
     page.get_by_role("button", name="Pause").click()
     wait_for("the pause", lambda: beat_of(run).status == "paused", 30)
+    expect(page.locator("#chip")).to_contain_text("paused")
+    expect(page.get_by_label("highest link_1")).to_have_value("2.5")
     page.get_by_label("α, the weight of the divergence").fill("0.5")
     page.locator("#plain-alpha").get_by_role("button", name="Set").click()
-    page.get_by_label("highest link_1").fill("2.5")
+    page.get_by_label("lowest link_1").fill("")
+    page.get_by_role("button", name="Set the bounds of link_1").click()
+    page.get_by_label("lowest link_1").fill("0.1")
     page.get_by_role("button", name="Set the bounds of link_1").click()
     page.get_by_label("hold link_2").check()
 
@@ -58,10 +66,11 @@ def test_a_run_is_started_steered_and_exported_without_webgl(server: Server, fla
 
     wait_for("the trainer's answers", lambda: {SetAlpha, SetBound, Lock} <= set(sent()), 30)
     bound = next(a.command for a in events_of(run, Acknowledged) if isinstance(a.command, SetBound))
-    assert (bound.name, bound.hi) == ("link_1", 2.5)
+    assert (bound.name, bound.lo, bound.hi) == ("link_1", 0.1, 2.5)
     page.get_by_label("lowest link_1").fill("7")
     page.get_by_role("button", name="Set the bounds of link_1").click()
     expect(page.locator("#banner")).to_contain_text("link_1")
+    expect(page.get_by_label("lowest link_1")).to_have_value("0.1")
     page.get_by_role("button", name="Dismiss").click()
 
     page.get_by_role("button", name="Stop").click()

@@ -75,8 +75,9 @@ def test_a_run_shows_how_far_it_is_and_its_designs(reacher: Run) -> None:
 
 def test_a_run_that_goes_on_shows_what_has_happened_since(reacher: Run) -> None:
     append(reacher.history.folder, progress(4, phi=[1.25] * 5))
-    assert ["iterations", "4 of 100"] in cells(reacher._repr_html_())
     assert reacher.design("latest").phi.tolist() == [1.25] * 5
+    append(reacher.history.folder, progress(5, phi=[1.5] * 5))
+    assert ["iterations", "5 of 100"] in cells(reacher._repr_html_())
 
 
 def test_an_iteration_and_an_evaluation_show_what_they_measured(reacher: Run) -> None:
