@@ -312,9 +312,11 @@ def _same_origin(origin: str, host: str) -> bool:
 
 _LOGIN_STYLE = (
     ":root{color-scheme:light dark}"
-    "body{font:16px/1.5 system-ui,sans-serif;max-width:34rem;margin:18vh auto;padding:0 1.5rem}"
+    "body{font:16px/1.5 system-ui,sans-serif;max-width:34rem;margin:18vh auto;padding:0 1.5rem;"
+    "color:light-dark(#1c2733,#e9e9e9);background:light-dark(#fff,#242424)}"
     "h1{font-size:1.35rem;font-weight:650}"
-    "input,button{font:inherit;padding:.5em .8em;border-radius:.5em;border:1px solid #8886}"
+    "input,button{font:inherit;padding:.5em .8em;border-radius:.5em;border:1px solid light-dark(#8a94a0,#7b8288)}"
+    "button{color:#fff;background:#2467ad;border-color:#2467ad;cursor:pointer}"
     "input{width:16rem;max-width:60%}code{font-size:.95em}"
 )
 

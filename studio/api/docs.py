@@ -25,10 +25,12 @@ def page_of(document: dict[str, Any]) -> str:
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>MORPH Studio API</title>'
         '<meta name="viewport" content="width=device-width"><link rel="icon" href="page/icon.svg">'
-        '<link rel="stylesheet" href="page/docs.css"></head><body><main><h1>MORPH Studio API</h1>'
+        '<link rel="stylesheet" href="page/docs.css"><script src="page/theme.js"></script></head><body><main>'
+        '<p><a class="name" href="./"><img src="page/icon.svg" alt="" width="20" height="20">MORPH Studio</a></p>'
+        "<h1>API</h1>"
         "<p>Send <code>Authorization: Bearer TOKEN</code>, or open this page's server with its link once. Values that "
         'are not allowed are answered with 422 and <code>{"detail": "a sentence"}</code>. '
-        '<a href="openapi.json">openapi.json</a> · <a href="./">studio</a></p><h2>Routes</h2>'
+        '<a href="openapi.json">openapi.json</a></p><h2>Routes</h2>'
     ]
     for path, methods in document["paths"].items():
         for method, route in methods.items():

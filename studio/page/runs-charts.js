@@ -1,12 +1,13 @@
 // The comparison of the selected runs: their traces over environment steps, and their designs in parallel coordinates.
 
 import { init } from "./vendor/charts.js";
-import { number, share, steps } from "./runs-table.js";
+import { number, percent, steps } from "./runs-table.js";
 
 const COLOURS = ["#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5aa9e6", "#d0342c", "#7a828e"];
-const RETURNS = ["#3b4cc0", "#2a9d8f", "#e9c46a", "#d1495b"];
+const RETURNS = ["#3b4cc0", "#2a9d8f", "#d9a92f", "#d1495b"];
+const RETURNS_DARK = ["#8a97f5", "#35b8a8", "#e9c46a", "#f0788a"];
 const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', sans-serif";
-const WORDS = { success: "success on Hw-Phy", episode_return: "return on Hw-Phy" };
+const WORDS = { success: "success on Hw-Phy [%]", episode_return: "return on Hw-Phy" };
 
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
@@ -60,13 +61,13 @@ export class Traces {
       const count = traces.filter((t) => group(t) === name).length;
       return `${name} (${count} ${count === 1 ? "run" : "runs"})`;
     };
-    const format = measure === "success" ? share : number;
+    const format = measure === "success" ? percent : number;
     this.chart.setOption({
       ...look(), color: groups.map((_, i) => COLOURS[i % COLOURS.length]),
       legend: { type: "scroll", top: 4, left: 8, right: 8, icon: "roundRect", itemWidth: 14, itemHeight: 4, data: groups, formatter: named, textStyle: { color: css("--text") }, pageTextStyle: { color: css("--faint") } },
-      grid: { left: 58, right: 22, top: 36, bottom: 62 },
+      grid: { left: 58, right: 30, top: 36, bottom: 62 },
       xAxis: axis("environment steps", { axisLabel: { color: css("--faint"), hideOverlap: true, formatter: steps }, splitLine: { show: false } }),
-      yAxis: axis(WORDS[measure], { nameGap: 40, ...(measure === "success" ? { min: 0, max: 1 } : { scale: true }), axisLabel: { color: css("--faint"), formatter: (v) => String(v).replace("-", "−") } }),
+      yAxis: axis(WORDS[measure], { nameGap: 40, ...(measure === "success" ? { min: 0, max: 1 } : { scale: true }), axisLabel: { color: css("--faint"), formatter: (v) => String(measure === "success" ? Math.round(100 * v) : v).replace("-", "−") } }),
       tooltip: {
         ...look().tooltip, trigger: "axis",
         formatter: (points) => {
@@ -135,15 +136,15 @@ export class Designs {
       },
       parallelAxis: [
         ...parameters.map((p, i) => vertical(p.name.replaceAll("_", " ") + (units[i].name ? `\n[${units[i].name}]` : ""), i)),
-        vertical("success", parameters.length, { min: 0, max: 1, scale: false }),
+        vertical("success\n[%]", parameters.length, { min: 0, max: 100, scale: false }),
         vertical("return", dimension),
       ],
       visualMap: {
         type: "continuous", dimension, min: low, max: high > low ? high : low + 1, right: 4, top: "middle", itemHeight: 90, itemWidth: 10, calculable: false, hoverLink: false,
-        inRange: { color: RETURNS }, text: [shown(high), shown(low)], textStyle: { color: css("--faint"), fontSize: 11 }, show: this.designs.length > 0,
+        inRange: { color: document.documentElement.dataset.theme === "dark" ? RETURNS_DARK : RETURNS }, text: [`return\n${shown(high)}`, shown(low)], textStyle: { color: css("--faint"), fontSize: 11 }, show: this.designs.length > 0,
       },
       series: [{
-        type: "parallel", data: this.designs.map((d) => [...d.phi.map((v, i) => v * units[i].factor), d.success, d.return]),
+        type: "parallel", data: this.designs.map((d) => [...d.phi.map((v, i) => v * units[i].factor), 100 * d.success, d.return]),
         lineStyle: { width: 1.5, opacity: this.designs.length > 200 ? 0.35 : 0.6 }, inactiveOpacity: 0.04, activeOpacity: 0.9, progressive: 0,
         emphasis: { lineStyle: { width: 3, opacity: 1 } },
       }],

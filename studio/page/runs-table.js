@@ -14,7 +14,7 @@ export function steps(count) {
   return count < 1e6 ? `${Math.round(count / 1e3)} k` : `${(count / 1e6).toFixed(2)} M`;
 }
 
-export const share = (value) => value.toFixed(2);
+export const percent = (share) => `${Math.round(100 * share)} %`;
 
 export function number(value) {
   const text = value.toFixed(Math.abs(value) < 10 ? 2 : Math.abs(value) < 1000 ? 1 : 0);
@@ -57,6 +57,7 @@ function plain(format) {
   return (cell) => (cell.getValue() === null ? made("div") : lines(format(cell.getValue())));
 }
 
+const BROKEN = ["failed", "lost", "unreadable"]; // whose reason is read without a pointer resting on it
 const longest = (a, b) => a.join("\n").localeCompare(b.join("\n"));
 const numeric = { sorter: "number", sorterParams: { alignEmptyValues: "bottom" }, cssClass: "number", headerHozAlign: "right", headerSortStartingDir: "desc" };
 
@@ -90,9 +91,14 @@ function columns({ onStar, onOpen }, all) {
     {
       title: "run", field: "label", minWidth: 150, widthGrow: 3, responsive: 0,
       formatter: (cell) => {
-        const { name, id, status, success } = cell.getData(), box = made("div");
+        const { name, id, status, reason, success } = cell.getData(), box = made("div");
         box.append(name ? lines(name, id) : Object.assign(made("div", "two whole", id), { title: id }));
-        box.append(made("div", "line brief", success === null ? status : `${status}, success ${share(success)}`)); // on a phone
+        // On a phone this column tells the state, too, which has none of its own there.
+        if (BROKEN.includes(status) && reason) {
+          const why = Object.assign(made("div", "why"), { title: reason });
+          why.append(made("span", "brief", `${status}: `), reason);
+          box.append(why);
+        } else box.append(made("div", "line brief", success === null ? status : `${status}, success ${percent(success)}`));
         return box;
       },
     },
@@ -113,12 +119,12 @@ function columns({ onStar, onOpen }, all) {
     { title: "task", field: "task", width: 92, responsive: 4, formatter: plain(String) },
     { title: "method", field: "method", width: 96, responsive: 4, formatter: plain(String) },
     { title: "seed", field: "seed", width: 56, responsive: 6, ...numeric, formatter: plain(String) },
-    { title: "success", field: "success", width: 78, responsive: 2, ...numeric, headerTooltip: "Share of episodes that reached the goal on Hw-Phy, sampled policy, at the last evaluation; below, at the best one", formatter: measured(share, "success") },
+    { title: "success", field: "success", width: 78, responsive: 2, ...numeric, headerTooltip: "Share of episodes that reached the goal on Hw-Phy, sampled policy, at the last evaluation; below, at the best one", formatter: measured(percent, "success") },
     { title: "return", field: "return", width: 82, responsive: 3, ...numeric, headerTooltip: "Mean return of the same episodes; below, at the best evaluation", formatter: measured(number, "episode_return") },
     { title: "steps", field: "steps", width: 70, responsive: 5, ...numeric, headerTooltip: "Environment steps of the trajectories", formatter: plain(steps) },
     { title: "time", field: "duration", width: 92, responsive: 5, ...numeric, headerTooltip: "How long trainers were at work, pauses included", formatter: plain(duration) },
     {
-      title: "tags", field: "tags", minWidth: 80, widthGrow: 1, responsive: 7, sorter: longest,
+      title: "tags", field: "tags", minWidth: 80, widthGrow: 1, responsive: 7, sorter: longest, cssClass: "apart",
       formatter: (cell) => {
         const box = made("div", "tags");
         for (const tag of cell.getValue()) box.append(Object.assign(made("span", "", tag), { title: tag }));
@@ -147,12 +153,19 @@ function keepBox(box, table) {
   for (const event of ["rowSelectionChanged", "renderComplete"]) table.on(event, show);
 }
 
+const WORDS = {
+  pagination: {
+    first: "First", prev: "Back", next: "Next", last: "Last", first_title: "First page", prev_title: "Page before", next_title: "Next page", last_title: "Last page",
+    page_size: "runs a page", page_title: "Show page", counter: { showing: "", of: "of", rows: "runs", pages: "pages" },
+  },
+};
+
 export function makeTable(element, pages, wishes) {
   const all = boxForAll();
   const table = new Tabulator(element, {
     index: "id", columns: columns(wishes, all), layout: "fitColumns", responsiveLayout: "hide", height: "100%", rowHeight: 66,
     pagination: true, paginationSize: 50, paginationSizeSelector: [25, 50, 100, 200], paginationCounter: "rows",
-    selectableRows: "highlight", selectableRowsPersistence: true, placeholder: "No run fits the filters",
+    selectableRows: "highlight", selectableRowsPersistence: true, placeholder: "No run fits the filters", locale: "en", langs: { en: WORDS },
     columnDefaults: { headerSortTristate: true, vertAlign: "middle" },
     rowFormatter: (row) => {
       row.getElement().classList.toggle("archived", row.getData().archived);

@@ -1,7 +1,7 @@
 // The runs page: every run of the folder, found again by search and filters, kept in order, and compared.
 
 import { Designs, Traces } from "./runs-charts.js";
-import { flat, made, makeTable, moveFocus, number, share } from "./runs-table.js";
+import { flat, made, makeTable, moveFocus, number, percent } from "./runs-table.js";
 
 const INTERVAL = 2000;
 const HIDDEN_INTERVAL = 15000;
@@ -81,6 +81,7 @@ function say(sentence) {
 async function show(rows) {
   const before = known;
   known = new Map(rows.map((row) => [row.id, row]));
+  find("reading").hidden = true;
   find("empty").hidden = rows.length > 0;
   find("all").hidden = find("filters").hidden = rows.length === 0;
   offerFilters(rows);
@@ -137,6 +138,7 @@ function filter() {
     (!wanted.status || row.status === wanted.status) && (!wanted.task || row.task === wanted.task) &&
     (!wanted.method || row.method === wanted.method) && (!wanted.tag || row.tags.includes(wanted.tag)) &&
     (!wanted.starred || row.starred) && (wanted.archived === "show" || row.archived === (wanted.archived === "only"));
+  find("unfilter").hidden = !filtered().length;
   table.setFilter(fits);
 }
 
@@ -161,13 +163,14 @@ function tellChosen() {
   remember();
 }
 
+// Return what is asked for, each filter that leaves something out with its value.
+function filtered() {
+  return FILTERS.map((name) => [name, find(name).type === "checkbox" ? (find(name).checked ? "1" : "") : find(name).value]).filter(([, value]) => value && value !== "hide");
+}
+
 // Filters and what is compared stand in the address, so that the way back from the viewer leads to the same picture.
 function remember() {
-  const words = new URLSearchParams();
-  for (const name of FILTERS) {
-    const input = find(name), value = input.type === "checkbox" ? (input.checked ? "1" : "") : input.value;
-    if (value && value !== "hide") words.set(name, value);
-  }
+  const words = new URLSearchParams(filtered());
   for (const run of compared?.runs ?? []) words.append("compare", run);
   history.replaceState(null, "", words.size ? `#${words}` : location.pathname);
 }
@@ -370,8 +373,8 @@ function draw() {
   const evaluated = compared.overlay.traces.filter((trace) => trace.iteration.length);
   find("compared").textContent = `${counted(compared.runs.length)} compared${evaluated.length < compared.runs.length ? `, ${compared.runs.length - evaluated.length} without an evaluation` : ""}`;
   const overlay = { ...compared.overlay, traces: evaluated };
-  const percent = Math.round(100 * overlay.confidence);
-  find("meant").textContent = overlay.means.length ? `thick: mean of a method's runs; shaded: its ${percent} % interval` : "";
+  const sure = percent(overlay.confidence);
+  find("meant").textContent = overlay.means.length ? `thick: mean of a method's runs; shaded: its ${sure} interval` : "";
   traces.draw(overlay, { measure: find("measure").value, single: find("single").checked });
   const left = evaluated.length ? designs.draw(overlay, { which: find("designs").value }) : 0;
   compared.left = left ? `; ${counted(left)} of another task or with other parameters left out` : "";
@@ -388,7 +391,7 @@ function see(design) {
   if (!design) return;
   find("picture").src = address(design.run, `/thumbnail.png?design=${design.iteration}`);
   const row = known.get(design.run);
-  find("caption").textContent = `${row?.marks.name || design.run}\niteration ${design.iteration}, success ${share(design.success)}, return ${number(design.return)}`;
+  find("caption").textContent = `${row?.marks.name || design.run}\niteration ${design.iteration}, success ${percent(design.success)}, return ${number(design.return)}`;
 }
 
 function closeComparison() {
@@ -407,6 +410,12 @@ for (const name of FILTERS) {
   });
 }
 find("filters").addEventListener("submit", (event) => event.preventDefault());
+find("unfilter").addEventListener("click", () => {
+  find("filters").reset();
+  find("search").focus(); // the button that had the focus is gone
+  filter();
+  remember();
+});
 find("compare").addEventListener("click", () => compare(chosenRows().map((row) => row.id)));
 find("evolution").addEventListener("click", () => evolution(chosenRows().map((row) => row.id)));
 find("star").addEventListener("click", () => star(chosenRows()));
