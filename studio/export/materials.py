@@ -112,7 +112,7 @@ def bill_html(lines: Sequence[Line]) -> str:
         for line in lines
     )
     return f"""<table><thead><tr><th>item<th class=n>quantity<th class=n>g each<th class=n>g<th class=n>USD each
-<th class=n>USD<th></tr></thead>{rows}
+<th class=n>USD<th>note</tr></thead>{rows}
 <tfoot><tr><th>{everything.item}<th class=n>{everything.quantity}<th><th class=n>{_grams(everything.mass)}<th>
 <th class=n>{_dollars(everything.price)}<th>{escape(everything.note)}</tr></tfoot></table>
 """

@@ -278,7 +278,7 @@ def _parts(sheet: Sheet) -> str:
     rows = [
         [
             escape(part.name), str(part.quantity), f"{1000 * part.inertial.mass:,.1f}",
-            *([f"{part.infill:.0%}"] * sheet.robot.printed),
+            *([_percent(part.infill, 0)] * sheet.robot.printed),
             " × ".join(f"{length:.1f}" for length in part.size), escape(", ".join(part.links)),
         ]
         for part in sheet.parts

@@ -240,7 +240,7 @@ def servo_html(table: ServoTable) -> str:
         f'<tr style="{_RED if row.faults else _AMBER if row.above_rated else ""}"><td>{escape(row.joint)}'
         f"<td class=n>{row.torque_peak:.2f}<td class=n>{row.torque_95:.2f}<td class=n>{sheet.stall_torque:.2f}"
         f"<td class=n>{row.speed_peak:.2f}<td class=n>{row.speed_95:.2f}<td class=n>{sheet.no_load_speed:.2f}"
-        f"<td class=n>{row.load_line_95:.0%}<td>{_said(row)}"
+        f"<td class=n>{100 * row.load_line_95:.0f}&nbsp;%<td>{_said(row)}"
         for row in table.joints
     )
     moved = "".join(
@@ -261,7 +261,7 @@ def servo_html(table: ServoTable) -> str:
 <th class=n>load line<th></tr>
 <tr><th>joint<th class=n>peak<th class=n>{SHARE:g}&nbsp;%<th class=n>servo, stall
 <th class=n>peak<th class=n>{SHARE:g}&nbsp;%<th class=n>servo, no load
-<th class=n>{SHARE:g}&nbsp;%<th></tr></thead>{rows}</table>
+<th class=n>{SHARE:g}&nbsp;%<th>verdict</tr></thead>{rows}</table>
 <p class=dim>Sizes over {table.instants:,} instants of {table.episodes} episodes. Load line: the share that is used of
 what a DC motor can do at the speed of the moment, on a line from stall torque to no-load speed. Red: the servo does not
 suffice. Amber: the torque is above the rated torque, for steady work, in more than {100 - SHARE:g}&nbsp;% of the time.

@@ -338,6 +338,7 @@ async function compare(chosen) {
     compared = { runs, overlay };
     find("comparison").hidden = false;
     draw();
+    find("comparison").scrollIntoView({ block: "nearest" }); // on a phone it begins below what is seen
     remember();
     const left = chosen.length - runs.length;
     if (left) tell(`${counted(left)} that can't be read ${left === 1 ? "is" : "are"} left out.`);
