@@ -356,7 +356,7 @@ def _plain_page(head: str, body: str) -> Response:
     return HTMLResponse(
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>MORPH Studio</title>{head}'
-        f"<style>{_LOGIN_STYLE}</style></head><body><h1>MORPH Studio</h1>{body}</body></html>",
+        f"<style>{_LOGIN_STYLE}</style></head><body><main><h1>MORPH Studio</h1>{body}</main></body></html>",
         401,
         {"Content-Security-Policy": PAGE_CSP.replace("style-src 'self'", f"style-src '{digest}'")},
     )

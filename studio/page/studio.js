@@ -3,7 +3,8 @@
 const INTERVAL = 1000;
 const HIDDEN_INTERVAL = 5000;
 const WAIT = 10; // seconds for which the server holds the question for news while there are none
-const PATIENCE = 15000;
+const PATIENCE = 15000; // milliseconds until it is said that the viewer takes long
+const AT_LAST = 60000; // and until what there is of it is shown
 const GIVEN_UP = "__given_up__";
 const UNCONNECTED = 8000; // milliseconds after which a viewer that has lost its server is opened anew
 
@@ -23,6 +24,7 @@ const recorded = new Map(); // id -> what is known of a recorded run, which come
 let reachable = true;
 let dismissed = "";
 let choosing = 0;
+let opening = 0;
 let refused = ""; // why what was done last on this page could not be done
 let connected = performance.now();
 let attached = false; // whether the viewer was connected when last heard of
@@ -109,11 +111,14 @@ async function openViewer() {
   await putView({});
   viewer.src = `viewer/${key}/${document.documentElement.dataset.theme === "dark" ? "?darkMode" : ""}`;
   const started = performance.now();
-  const timer = setInterval(() => {
-    // The canvas comes early and stays empty until the server's panels and scene have arrived.
-    const arrived = viewer.contentDocument?.querySelector("canvas") && viewer.contentDocument.querySelector("[role=tab]");
-    if (arrived || performance.now() - started > PATIENCE) {
-      clearInterval(timer);
+  clearInterval(opening);
+  opening = setInterval(() => {
+    // The canvas comes early and stays empty until the server's panels and scene have arrived, or why there are none.
+    const [page, waited] = [viewer.contentDocument, performance.now() - started];
+    const arrived = page?.querySelector("canvas") && page.querySelector("[role=tab], [role=alert]:not(.mantine-Notification-root)");
+    find("opening").textContent = waited < PATIENCE ? "Opening the 3-D viewer" : "Opening the 3-D viewer takes longer than usual: this machine or the network is busy";
+    if (arrived || waited > AT_LAST) {
+      clearInterval(opening);
       loading.hidden = true;
       focusViewer();
       dispatchEvent(new Event("viewer-opened"));
@@ -171,6 +176,7 @@ const READABLE = `:root[data-mantine-color-scheme="light"] {
   --mantine-color-dimmed: #a9b1ba !important; --mantine-primary-color-filled: #5ba3ea !important;
 }
 .mantine-Notification-description { color: var(--mantine-color-text) !important; }
+#webgl-software-rendering { margin-top: 44px; }
 :root[data-mantine-color-scheme="dark"] .mantine-Button-root:not([style*="--button-bg"]) { background: #2467ad !important; }`;
 
 viewer.addEventListener("load", () => {

@@ -70,8 +70,8 @@ def _success(recorded: Evaluation | None) -> str:
     if recorded is None:
         return "Its success was not measured in training."
     return (
-        f"In training this design succeeded in {recorded.deterministic_success:.0%} of its episodes with the policy's "
-        f"mean, which acts here, and in {recorded.sampled_success:.0%} with actions drawn around it."
+        f"In training this design succeeded in {100 * recorded.deterministic_success:.0f} % of its episodes with the "
+        f"policy's mean, which acts here, and in {100 * recorded.sampled_success:.0f} % with actions drawn around it."
     )
 
 

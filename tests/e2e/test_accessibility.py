@@ -86,6 +86,42 @@ def assert_audience_has_nothing(presenter: Page, base: str, scheme: str) -> None
     page.context.close()
 
 
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_narrow_and_empty_pages_have_nothing_that_is_serious(server: Server, page: Page, scheme: str) -> None:
+    page.emulate_media(color_scheme=scheme, reduced_motion="reduce")  # pyright: ignore[reportArgumentType]
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.goto(server.url)
+    base = f"http://127.0.0.1:{server.port}"
+    for path, heading in (
+        ("runs", "No runs in this folder yet"),
+        ("study", "No study in this folder of runs"),
+        ("nothing", "There is no such page"),
+    ):
+        page.goto(f"{base}/{path}")
+        expect(page.get_by_role("heading", name=heading)).to_be_visible()
+        assert grave(page) == {}, heading
+
+    write_study(server.runs, [Made("direct", "direct"), Made("fixed", "no_hw_opt")], [0], iterations=10)
+    (server.runs / "reacher-fixed-s0" / "run.json").write_text("{")
+    page.goto(f"{base}/runs")
+    rows = page.locator(".tabulator-row")
+    expect(rows).to_have_count(2)
+    expect(rows.filter(has_text="unreadable: ")).to_have_count(1)
+    rows.filter(has_text="reacher-direct-s0").get_by_role("checkbox").check()
+    page.get_by_role("button", name="Compare").click()
+    expect(page.locator("#comparison .bar")).to_be_in_viewport()
+    assert grave(page) == {}, "a comparison"
+    page.get_by_role("button", name="Delete").click()
+    assert grave(page) == {}, "the question before a run is deleted"
+    page.keyboard.press("Escape")
+    page.get_by_role("searchbox", name="Search").fill("nothing")
+    expect(rows).to_have_count(0)
+    assert grave(page) == {}, "no run fits"
+    page.get_by_role("button", name="Clear the filters").click()
+    expect(rows).to_have_count(2)
+    expect(page.get_by_role("searchbox", name="Search")).to_be_focused()
+
+
 def test_what_the_viewer_lacks_is_visers_own_and_listed(filled: Server, page: Page) -> None:
     page.goto(filled.url)
     page.frame_locator("#viewer").get_by_role("tab", name="Traces", exact=True).wait_for()

@@ -92,3 +92,10 @@ def test_a_run_deleted_elsewhere_is_said_and_comes_back(server: Server, runs: Pa
     expect(viewer_of(page).get_by_text("deleted or moved").first).to_be_attached()
     shutil.move(tmp_path / "elsewhere", runs / NEW)
     comes_back(page, NEW)
+
+
+def test_a_viewer_that_takes_long_stays_behind_its_curtain_and_the_page_says_so(server: Server, page: Page) -> None:
+    page.route("**/viewer/**", lambda _: None)  # asked for and never answered
+    page.goto(server.url, wait_until="domcontentloaded")
+    expect(page.locator("#loading").get_by_text("Opening the 3-D viewer takes longer than usual")).to_be_visible()
+    page.unroute_all(behavior="ignoreErrors")
