@@ -25,6 +25,7 @@ let reachable = true;
 let dismissed = "";
 let choosing = 0;
 let opening = 0;
+let openings = 0; // since the viewer was connected last
 let refused = ""; // why what was done last on this page could not be done
 let connected = performance.now();
 let attached = false; // whether the viewer was connected when last heard of
@@ -106,7 +107,7 @@ async function act(doing) {
 async function openViewer() {
   if (!has3d) return;
   loading.hidden = false;
-  connected = performance.now() + PATIENCE;
+  connected = performance.now() + Math.min(240000, PATIENCE * 2 ** openings++); // a slow machine is given more time, not another start
   showPreview().catch(() => null); // the banner says what is wrong with the server
   await putView({});
   viewer.src = `viewer/${key}/${document.documentElement.dataset.theme === "dark" ? "?darkMode" : ""}`;
@@ -349,6 +350,7 @@ async function learnRecorded() {
 async function follow(seen) {
   attached = seen.connected;
   if (attached) {
+    openings = 0;
     connected = Math.max(connected, performance.now());
     keepView(seen);
   } else if (performance.now() - connected > UNCONNECTED) await openViewer();
