@@ -170,6 +170,8 @@ export function makeTable(element, pages, wishes) {
     rowFormatter: (row) => {
       row.getElement().classList.toggle("archived", row.getData().archived);
       if (!row.getElement().hasAttribute("tabindex")) row.getElement().tabIndex = -1;
+      const box = row.getElement().querySelector("input[type=checkbox]"); // Space on the row does the same: one stop for all rows
+      if (box) Object.assign(box, { tabIndex: -1, ariaLabel: `Select ${row.getData().label}` });
     },
   });
   keepBox(all, table);
@@ -179,12 +181,24 @@ export function makeTable(element, pages, wishes) {
     element.querySelector(".tabulator-tableholder").removeAttribute("tabindex");
     for (const column of element.querySelectorAll(".tabulator-col.tabulator-sortable")) column.tabIndex = 0;
   });
-  for (const event of ["renderComplete", "dataFiltered", "pageLoaded"]) table.on(event, () => requestAnimationFrame(() => offerFirstRow(element)));
+  let held = null; // the run whose row has the focus
+  element.addEventListener("focusout", (event) => {
+    if (event.relatedTarget) held = null;
+  });
+  // Rows that are drawn anew, as when the bar above them comes or goes, lose the focus: it goes back to where it was.
+  const keepFocus = () => {
+    offerFirstRow(element);
+    if (held === null || document.activeElement !== document.body) return;
+    const row = table.getRows("display").find((one) => one.getData().id === held)?.getElement();
+    (row?.isConnected ? row : element.querySelector('.tabulator-row[tabindex="0"]'))?.focus({ preventScroll: true });
+  };
+  for (const event of ["renderComplete", "dataFiltered", "pageLoaded"]) table.on(event, () => requestAnimationFrame(keepFocus));
   element.addEventListener("focusin", (event) => {
     const row = event.target.closest(".tabulator-row");
     if (!row) return;
     for (const other of element.querySelectorAll('.tabulator-row[tabindex="0"]')) other.tabIndex = -1;
     row.tabIndex = 0;
+    held = table.getRows("display").find((one) => one.getElement() === row)?.getData().id ?? null;
   });
   return table;
 }

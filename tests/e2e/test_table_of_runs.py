@@ -70,6 +70,19 @@ def test_runs_are_found_noted_archived_deleted_and_brought_back(server: Server, 
     page.get_by_role("columnheader", name="success").press("Enter")
     expect(rows_of(page).first).to_contain_text("reacher-fixed")
 
+    # Selected with the keys alone: the bar that comes draws the rows anew, and the focus stays where it was.
+    top = rows_of(page).first
+    top.focus()
+    page.keyboard.press(" ")
+    expect(page.locator("#chosen")).to_have_text("1 selected")
+    expect(top).to_be_focused()
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press(" ")
+    expect(page.locator("#chosen")).to_have_text("2 selected")
+    page.keyboard.press("Escape")
+    expect(page.locator("#actions")).to_be_hidden()
+    expect(rows_of(page).nth(1)).to_be_focused()
+
     # Noted, with the keys alone; what was typed is text wherever it is shown.
     first.focus()
     page.keyboard.press("s")
