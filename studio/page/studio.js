@@ -46,9 +46,10 @@ function remembered(name) {
   }
 }
 
-async function putView(wanted) {
+// A viewer that is there knows better than this page what was ticked a moment ago: only a new one is told of that.
+async function putView(wanted, isNew = !attached) {
   view = { ...view, ...wanted };
-  const body = JSON.stringify(view);
+  const body = JSON.stringify(isNew ? view : { ...view, ticks: {} });
   await fetch(`api/desks/${key}`, { method: "PUT", headers: { "Content-Type": "application/json" }, body }).catch(() => null);
 }
 
@@ -106,7 +107,7 @@ async function openViewer() {
   loading.hidden = false;
   connected = performance.now() + PATIENCE;
   showPreview().catch(() => null); // the banner says what is wrong with the server
-  await putView({});
+  await putView({}, true);
   viewer.src = `viewer/${key}/${document.documentElement.dataset.theme === "dark" ? "?darkMode" : ""}`;
   const started = performance.now();
   const timer = setInterval(() => {
@@ -169,13 +170,20 @@ const READABLE = `:root[data-mantine-color-scheme="light"] {
 }
 :root[data-mantine-color-scheme="dark"] {
   --mantine-color-dimmed: #a9b1ba !important; --mantine-primary-color-filled: #5ba3ea !important;
+  --mantine-color-blue-filled: #2467ad !important;
 }
 .mantine-Notification-description { color: var(--mantine-color-text) !important; }
 :root[data-mantine-color-scheme="dark"] .mantine-Button-root:not([style*="--button-bg"]) { background: #2467ad !important; }`;
 
+// On a phone viser's sheet of panels leaves a strip at its left in which nothing can be seen: it takes the whole width.
+const SHEET = `@media (max-width: 560px) {
+  .mantine-Paper-root[style*="position: fixed"][style*="width: 20em"] { width: 100% !important; max-height: 50% !important; }
+  .mantine-Paper-root[style*="position: fixed"] [style*="width: 20em"] { width: 100% !important; }
+}`;
+
 viewer.addEventListener("load", () => {
   const style = viewer.contentDocument.createElement("style");
-  style.textContent = READABLE + ALONE;
+  style.textContent = READABLE + ALONE + SHEET;
   viewer.contentDocument.head.append(style);
   viewer.contentDocument.addEventListener("keydown", hearHelp);
   // An arrow moves the slider that has the focus, and not the timeline too.

@@ -58,6 +58,8 @@ class ExportPanel:
         self._on_export = on_export
         self._history: History | None = None
         self._bundle: Bundle | None = None
+        self._choices = 0
+        """How often something else was chosen: a bundle that was asked for before is not offered after that."""
         self._takes_servos = False
         self.note = gui.add_html("")
         self.design = gui.add_dropdown("design", CHOICES, initial_value="best")
@@ -138,6 +140,7 @@ class ExportPanel:
 
     def _submit(self) -> None:
         self._forget()
+        asked = self._choices
         try:
             which = self.which()
         except ValueError as error:
@@ -150,10 +153,12 @@ class ExportPanel:
             names = [name for name, box in self.formats.items() if box.value]
             bundle = self._on_export(which, names, servo, self._wanted_printer(names))
         except (ValueError, OSError) as error:
-            self.tell(str(error))
+            if asked == self._choices:
+                self.tell(str(error))
         else:
-            self.tell(None)
-            self._offer(bundle)
+            if asked == self._choices:
+                self.tell(None)
+                self._offer(bundle)
         finally:
             self.check.disabled = False
 
@@ -196,6 +201,8 @@ class ExportPanel:
     def _forget(self) -> None:
         """Drop a bundle that is not what is chosen any more."""
         self._bundle = None
+        self._choices += 1
+        self.tell(None)
         self.result.visible = self.download.visible = False
 
     def _choose(self) -> None:

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import ConsoleMessage, Locator, Page, expect
-from served import Server, wait_for
+from served import Server, fits, wait_for
 
 from morph_core.run_folder import list_runs
 from studio.shelf.marks import Marks, read_marks
 from tests.studies import Made, write_study
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.browser
 
 EVIL = "<img src=x onerror=\"document.title='taken'\">"
 
@@ -131,7 +131,7 @@ def test_runs_are_found_noted_archived_deleted_and_brought_back(server: Server, 
 
     for width in (390, 1920):
         page.set_viewport_size({"width": width, "height": 800})
-        assert page.evaluate("document.documentElement.scrollWidth") == width
+        fits(page, width)
     assert (complaints, page.title()) == ([], "Runs · MORPH Studio")
     server.kill()
     expect(page.get_by_text("The server does not answer")).to_be_visible()
@@ -162,10 +162,10 @@ def test_runs_are_compared_and_a_design_is_opened_in_3d(server: Server, page: Pa
     page.locator("#designs").select_option("all")
     traces, parallel = page.locator("#traces canvas"), page.locator("#parallel canvas")
     drawn = "canvas => new Set(canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data).size"
+    wait_for("the traces", lambda: traces.evaluate(drawn) > 50, 10)
     before = traces.evaluate("canvas => canvas.toDataURL()")
-    assert traces.evaluate(drawn) > 50
     page.locator("#measure").select_option("episode_return")
-    assert traces.evaluate("canvas => canvas.toDataURL()") != before
+    wait_for("other traces", lambda: traces.evaluate("canvas => canvas.toDataURL()") != before, 10)
 
     # The upper half of the axis of success, brushed, leaves the designs of one method.
     box = parallel.bounding_box()

@@ -178,5 +178,6 @@ def test_values_from_the_wire_beyond_their_slider_are_refused(
     assert timeline.shown_iteration == 4
     wire(playback.time, math.nan)
     assert eventually(lambda: "time must lie inside" in page.viewer.notice.content)
+    assert eventually(lambda: not math.isnan(playback.time.value)), "what was refused does not stay on screen"
     assert page.viewer.player.take is not None
     assert page.commands == []
