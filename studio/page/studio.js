@@ -198,12 +198,14 @@ find("keys").addEventListener("close", focusViewer);
 
 // --- the bar ---------------------------------------------------------------------------------------------------------
 
-const percent = (share) => `${Math.round(share * 100)} %`;
+// As the viewer's panels and the reports round, which are made in Python: 12.5 is 12.
+const whole = new Intl.NumberFormat("en", { maximumFractionDigits: 0, useGrouping: false, roundingMode: "halfEven" });
+const percent = (share) => `${whole.format(100 * share)} %`;
 
 function duration(seconds) {
   if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
-  if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
-  return `${Math.floor(seconds / 3600)} h ${Math.round((seconds % 3600) / 60)} min`;
+  const minutes = Math.round(seconds / 60);
+  return seconds < 5400 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
 }
 
 function describe(run) {

@@ -16,6 +16,7 @@ from studio.export.ros import FOLDER
 from studio.export.servos import FILE, ServoTable, takes_servos, verdict
 from studio.limits import LAST_ITERATION
 from studio.viewer import wording
+from studio.viewer.once import once
 
 BY_NEED = "by need"
 """Word for the servo that the export chooses itself."""
@@ -92,7 +93,8 @@ class ExportPanel:
             box.on_update(lambda _: self._choose())
         self.printer.on_update(lambda _: self._choose())
         self._at_work = threading.Lock()
-        self.check.on_click(lambda _: threading.Thread(target=self.submit, name="export", daemon=True).start())
+        begin = once(lambda _: threading.Thread(target=self.submit, name="export", daemon=True).start())
+        self.check.on_click(begin)
         self.download.on_click(lambda event: self.send(event.client))
         self.bring.on_upload(lambda event: on_import(event.target.value.content, event.client))
         self.clear()
@@ -193,7 +195,8 @@ class ExportPanel:
             colour = wording.GREEN if table.suffices else wording.RED
             agreed += f'<br><span style="color:{colour}">{verdict(table)}</span>'
         hint = wording.dim("watch the .mjz: drop it on live.mujoco.org") if self.formats["mjcf"].value else ""
-        self.result.content = wording.rows(lines) + wording.paragraph(f"{agreed}<br>{hint}")
+        name = f'<span style="overflow-wrap:anywhere">{wording.text(bundle.name)}</span>'  # which design it is
+        self.result.content = wording.rows(lines) + wording.paragraph(f"{agreed}<br>{name}<br>{hint}")
         self.result.visible = True
         self.download.label = f"Download {wording.size(len(bundle.content))}"
         self.download.visible = True

@@ -8,8 +8,12 @@ from playwright.sync_api import Page, expect
 from served import Server
 from test_studio import viewer_of
 
+from studio.viewer import wording
+
 pytestmark = pytest.mark.browser
 
+SHARES = [0.0, 0.005, 0.015, 0.125, 0.375, 0.5, 0.994, 0.995, 1.0]
+TIMES = [0.2, 1.0, 59.6, 89.4, 90.0, 150.0, 5399.0, 5400.0, 7169.0, 7190.0, 90_000.0]
 OLD, NEW = "reacher-direct-s0", "reacher-direct-s1"
 
 
@@ -61,6 +65,8 @@ def test_one_person_does_not_see_what_another_one_chooses(server: Server, page: 
 def test_keys_scrub_follow_help_and_begin(server: Server, page: Page) -> None:
     open_page(page, server.url)
     choose(page, NEW)
+    assert page.evaluate("(all) => all.map(percent)", SHARES) == list(map(wording.percent, SHARES))
+    assert page.evaluate("(all) => all.map(duration)", TIMES) == list(map(wording.duration, TIMES))
     for iteration in (9, 8):
         page.keyboard.press("ArrowLeft")
         shows(page, NEW, iteration)

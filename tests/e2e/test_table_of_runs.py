@@ -9,6 +9,7 @@ from served import Server, fits, wait_for
 
 from morph_core.run_folder import list_runs
 from studio.shelf.marks import Marks, read_marks
+from studio.viewer import wording
 from tests.studies import Made, write_study
 
 pytestmark = pytest.mark.browser
@@ -51,6 +52,8 @@ def open_runs(page: Page, server: Server) -> list[str]:
 def test_runs_are_found_noted_archived_deleted_and_brought_back(server: Server, runs: Path, page: Page) -> None:
     complaints = open_runs(page, server)
     expect(rows_of(page)).to_have_count(6)
+    said = "import('./page/runs-table.js').then(({ duration }) => [45, 5399, 7190].map(duration))"
+    assert page.evaluate(said) == list(map(wording.duration, (45, 5399, 7190)))
     expect(page.locator("#count")).to_have_text("6 runs")
     first = row_of(page, "reacher-direct-s0")
     expect(first).to_contain_text("finished")
@@ -160,6 +163,7 @@ def test_runs_are_compared_and_a_design_is_opened_in_3d(server: Server, page: Pa
     page.locator("#designs").select_option("best")
     expect(page.locator("#brushed")).to_contain_text("6 designs")
     page.locator("#designs").select_option("all")
+    expect(page.locator("#brushed")).to_contain_text("18 designs")
     traces, parallel = page.locator("#traces canvas"), page.locator("#parallel canvas")
     drawn = "canvas => new Set(canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data).size"
     wait_for("the traces", lambda: traces.evaluate(drawn) > 50, 10)
@@ -178,10 +182,15 @@ def test_runs_are_compared_and_a_design_is_opened_in_3d(server: Server, page: Pa
     expect(page.locator("#brushed")).to_have_text(re.compile(r"^\d of 18 designs"))
 
     # A line under the pointer is named; a click opens it.
-    for share in range(20, 80):
-        page.mouse.move(box["x"] + axis - 30, box["y"] + box["height"] * share / 100)
-        if page.locator("#design").is_visible():
-            break
+    def names_a_line() -> bool:
+        for share in range(20, 80):
+            page.mouse.move(box["x"] + axis - 30, box["y"] + box["height"] * share / 100)
+            page.evaluate("new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))")
+            if page.locator("#design").is_visible():
+                return True
+        return False
+
+    wait_for("a line under the pointer", names_a_line, 30)
     told = re.search(r"(\S+)\niteration (\d+)", page.locator("#caption").inner_text())
     assert told is not None
     assert complaints == []

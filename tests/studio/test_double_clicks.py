@@ -20,6 +20,7 @@ from morph_core.protocol import (
     SetAlpha,
     SetBound,
     SetProjection,
+    Status,
     StepIteration,
 )
 from morph_core.run_folder import RunFolder
@@ -202,7 +203,7 @@ def test_switching_among_runs_leaves_nothing_behind(page: Page, folder: RunFolde
     """Of two tasks, with the what-if panel opened: the server holds as many inputs as after the first rounds."""
     runs = [folder, make_hand_run(folder.path.parent, "pen_press")]
     histories = {run.id: History(run) for run in runs}
-    statuses = {name: (history.status, "") for name, history in histories.items()}
+    statuses: dict[str, tuple[Status, str]] = {name: (one.status, "") for name, one in histories.items()}
     viewer, gui = page.viewer, page.server.gui
     viewer.show(histories, statuses)
     held = []
