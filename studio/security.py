@@ -11,10 +11,10 @@ import os
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Literal
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
@@ -198,7 +198,8 @@ class Guard:
             if not known:
                 if ticket and visit:
                     self.access.guesses.note(address)
-                return _login_page(path, bool(ticket) and visit, headers.get("sec-fetch-site") == "cross-site")
+                from_elsewhere = headers.get("sec-fetch-site") == "cross-site"
+                return _login_page(path, _place(scope), bool(ticket) and visit, from_elsewhere)
         if known:
             return None
         if path == AUDIENCE or invitation.has_cookie(headers):
@@ -225,10 +226,10 @@ class Guard:
     ) -> Response:
         """Return the cookie and the way to the page, relative: proxies cut off a prefix, or put one before it.
 
-        Of a link's other words only that the page begins in presenter's mode is kept.
+        Of a link's other words only those are kept that say what is to be seen.
         """
-        presents = "present" in parse_qs(scope["query_string"].decode("latin-1"), keep_blank_values=True)
-        response = RedirectResponse(f".{path}{'?present=1' if presents else ''}", 303)
+        words = urlencode(_place(scope))
+        response = RedirectResponse(f".{path}{words and f'?{words}'}", 303)
         response.set_cookie(cookie_name, cookie, httponly=True, samesite=samesite, secure=scope["scheme"] == "https")
         return response
 
@@ -330,13 +331,24 @@ def _uninvited_page() -> Response:
     )
 
 
-def _login_page(path: str, tried: bool, from_elsewhere: bool) -> Response:
-    """Return the page for a browser without a cookie that asks for one of the pages.
+def _place(scope: Scope) -> dict[str, str]:
+    """Return the words of a link that say what is to be seen: which run, which iteration, whether it is presented."""
+    words = parse_qs(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+    run, iteration = (words.get(name, [""])[0] for name in ("run", "iteration"))
+    place = {"run": run} if run else {}
+    place |= {"iteration": iteration} if iteration.isdecimal() else {}
+    return place | ({"present": "1"} if "present" in words else {})
+
+
+def _login_page(path: str, place: Mapping[str, str], tried: bool, from_elsewhere: bool) -> Response:
+    """Return the page for a browser without a cookie that asks for one of the pages, at a place in it.
 
     A link followed from another site arrives without its SameSite=Strict cookie, even right after it was set: one
     reload from this page itself brings it along.
     """
-    again = f'<meta http-equiv="refresh" content="0;url=.{path}">' if from_elsewhere else ""
+    there = html.escape(path + (f"?{urlencode(place)}" if place else ""))
+    again = f'<meta http-equiv="refresh" content="0;url=.{there}">' if from_elsewhere else ""
+    kept = "".join(f'<input type="hidden" name="{name}" value="{html.escape(word)}">' for name, word in place.items())
     reason = (
         "That token does not fit, or its link was used already (each link works once; the newest is in the terminal)."
         if tried
@@ -345,7 +357,7 @@ def _login_page(path: str, tried: bool, from_elsewhere: bool) -> Response:
     return _plain_page(
         again,
         f"<p>{html.escape(reason)} Open the link that <code>morph-studio serve</code> printed, or paste its token:</p>"
-        '<form method="get"><input name="token" type="password" autocomplete="off" aria-label="Token" autofocus '
+        f'<form method="get">{kept}<input name="token" type="password" autocomplete="off" aria-label="Token" autofocus '
         "required> <button>Enter</button></form>",
     )
 

@@ -778,9 +778,16 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         "studio/viewer/steer.py",
         "studio/test_steering.py::test_steering_sends_only_what_was_changed "
-        "studio/test_steering.py::test_what_somebody_types_into_the_steering_form_stays_until_something_changes",
+        "studio/test_steering.py::test_what_somebody_types_into_the_steering_form_stays_until_that_value_changes "
+        "studio/test_double_clicks.py::test_what_was_typed_for_one_run_is_not_applied_to_another",
         ("if alpha != in_force[0] else []", ""),
-        ("if in_force != self._in_force", "if True"),
+        ("before[0] != in_force[0]", "before != in_force"),
+        ("if self._shown == history.folder.id else None", ""),
+    ),
+    *_of(
+        "studio/viewer/once.py", "studio/test_double_clicks.py",
+        ("(blocking=False)", "()"),
+        ("time.monotonic() - ended >= AGAIN", "True"),
     ),
     # --- environments ---
     *_of(

@@ -1,6 +1,7 @@
 """The rules that a linter can't keep: no pickle, no torch in the web process, modules that say what they are."""
 
 import ast
+import itertools
 import json
 import re
 import subprocess
@@ -118,3 +119,15 @@ def test_no_two_scripts_of_a_page_have_a_name_in_common(page: Path) -> None:
     declaration = re.compile(r"^(?:async )?(?:function|const|let|class) +(\w+)", re.MULTILINE)
     declared = Counter(name for script in scripts for name in set(declaration.findall(script)))
     assert [name for name, count in declared.items() if count > 1] == []
+
+
+def test_no_browser_test_gives_up_sooner_than_a_busy_machine_needs() -> None:
+    """One patience for all: a wait that is shorter, but for one that is repeated, fails where much else is at work."""
+    hasty = [
+        f"{path.name}: {line.strip()}"
+        for path in sorted((ROOT / "tests" / "e2e").glob("test_*.py"))
+        for before, line in itertools.pairwise(path.read_text().splitlines())
+        for word in re.findall(r"\btimeout(?:=|\()([\d_]+)", line)
+        if int(word) < 60_000 and "suppress(TimeoutError)" not in before
+    ]
+    assert hasty == []

@@ -3,6 +3,7 @@
 import { init } from "./vendor/charts.js";
 
 const find = (id) => document.getElementById(id);
+const whole = new Intl.NumberFormat("en", { maximumFractionDigits: 0, useGrouping: false, roundingMode: "halfEven" }); // as the studio rounds
 const AGAIN = 5000; // milliseconds until it is tried again where there was no place, or no server
 
 const key = crypto.randomUUID ? crypto.randomUUID() : Array.from(crypto.getRandomValues(new Uint8Array(16)), (b) => b.toString(16).padStart(2, "0")).join("");
@@ -45,7 +46,7 @@ function showStage({ phase, watching, seen, runs }) {
   document.title = seen.run ? `${seen.title} · iteration ${seen.iteration}` : "Watching · MORPH Studio";
   find("numbers").hidden = !seen.run;
   find("iteration").replaceChildren(...number(String(seen.iteration), seen.planned ? ` of ${seen.planned}` : ""));
-  find("success").replaceChildren(...(seen.success === null ? ["–"] : number(String(Math.round(100 * seen.success)), " %")));
+  find("success").replaceChildren(...(seen.success === null ? ["–"] : number(whole.format(100 * seen.success), " %")));
   const time = seen.duration ? number(seconds(seen.time), ` of ${seconds(seen.duration)} s${seen.playing ? "" : ", paused"}`) : ["–"];
   find("clock").replaceChildren(...time);
   find("run").textContent = seen.run ?? "";

@@ -18,6 +18,13 @@ let begun = false;
 const runAddress = (rest) => `api/runs/${encodeURIComponent(view.run)}${rest}`;
 const command = (content) => act(() => post(runAddress("/commands"), content));
 
+// Do what a button says once, however often it is pressed meanwhile.
+async function once(button, doing) {
+  button.disabled = true;
+  await act(doing);
+  button.disabled = false;
+}
+
 function element(tag, properties = {}, ...children) {
   const made = Object.assign(document.createElement(tag), properties);
   made.append(...children);
@@ -39,7 +46,7 @@ find("plain-start").addEventListener("submit", (event) => {
   event.preventDefault();
   const [task, method] = [find("plain-task").value, find("plain-method").value];
   const [seed, iterations] = [Number(find("plain-seed").value), Number(find("plain-iterations").value)];
-  act(async () => keepView({ run: (await post("api/runs", { task, method, seed, iterations })).id, iteration: null }));
+  once(find("plain-go"), async () => keepView({ run: (await post("api/runs", { task, method, seed, iterations })).id, iteration: null }));
 });
 
 find("plain-alpha").addEventListener("submit", (event) => {
@@ -54,7 +61,7 @@ function showDeeds(status) {
   find("plain-deeds").dataset.signature = signature;
   find("plain-deeds").replaceChildren(...offered.map(([deed, [words]]) => {
     const button = element("button", { type: "button", textContent: words });
-    button.addEventListener("click", () => (deed === "go on" ? act(() => post(runAddress("/resume"), {})) : command({ type: deed })));
+    button.addEventListener("click", () => once(button, () => (deed === "go on" ? post(runAddress("/resume"), {}) : post(runAddress("/commands"), { type: deed }))));
     return button;
   }));
 }

@@ -49,9 +49,10 @@ function remembered(name) {
   }
 }
 
-async function putView(wanted) {
+// A viewer that is there knows better than this page what was ticked a moment ago: only a new one is told of that.
+async function putView(wanted, isNew = !attached) {
   view = { ...view, ...wanted };
-  const body = JSON.stringify(view);
+  const body = JSON.stringify(isNew ? view : { ...view, ticks: {} });
   await fetch(`api/desks/${key}`, { method: "PUT", headers: { "Content-Type": "application/json" }, body }).catch(() => null);
 }
 
@@ -109,7 +110,7 @@ async function openViewer() {
   loading.hidden = false;
   connected = performance.now() + Math.min(240000, PATIENCE * 2 ** openings++); // a slow machine is given more time, not another start
   showPreview().catch(() => null); // the banner says what is wrong with the server
-  await putView({});
+  await putView({}, true);
   viewer.src = `viewer/${key}/${document.documentElement.dataset.theme === "dark" ? "?darkMode" : ""}`;
   const started = performance.now();
   clearInterval(opening);
@@ -175,14 +176,21 @@ const READABLE = `:root[data-mantine-color-scheme="light"] {
 }
 :root[data-mantine-color-scheme="dark"] {
   --mantine-color-dimmed: #a9b1ba !important; --mantine-primary-color-filled: #5ba3ea !important;
+  --mantine-color-blue-filled: #2467ad !important;
 }
 .mantine-Notification-description { color: var(--mantine-color-text) !important; }
 #webgl-software-rendering { margin-top: 44px; }
 :root[data-mantine-color-scheme="dark"] .mantine-Button-root:not([style*="--button-bg"]) { background: #2467ad !important; }`;
 
+// On a phone viser's sheet of panels leaves a strip at its left in which nothing can be seen: it takes the whole width.
+const SHEET = `@media (max-width: 560px) {
+  .mantine-Paper-root[style*="position: fixed"][style*="width: 20em"] { width: 100% !important; max-height: 50% !important; }
+  .mantine-Paper-root[style*="position: fixed"] [style*="width: 20em"] { width: 100% !important; }
+}`;
+
 viewer.addEventListener("load", () => {
   const style = viewer.contentDocument.createElement("style");
-  style.textContent = READABLE + ALONE;
+  style.textContent = READABLE + ALONE + SHEET;
   viewer.contentDocument.head.append(style);
   viewer.contentDocument.addEventListener("keydown", hearHelp);
   // An arrow moves the slider that has the focus, and not the timeline too.
@@ -197,12 +205,14 @@ find("keys").addEventListener("close", focusViewer);
 
 // --- the bar ---------------------------------------------------------------------------------------------------------
 
-const percent = (share) => `${Math.round(share * 100)} %`;
+// As the viewer's panels and the reports round, which are made in Python: 12.5 is 12.
+const whole = new Intl.NumberFormat("en", { maximumFractionDigits: 0, useGrouping: false, roundingMode: "halfEven" });
+const percent = (share) => `${whole.format(100 * share)} %`;
 
 function duration(seconds) {
   if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
-  if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
-  return `${Math.floor(seconds / 3600)} h ${Math.round((seconds % 3600) / 60)} min`;
+  const minutes = Math.round(seconds / 60);
+  return seconds < 5400 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
 }
 
 function describe(run) {

@@ -8,6 +8,7 @@ from morph_core.origin import origin_at
 from studio.new_run import StartRun, again
 from studio.recordings import Recording, Recordings
 from studio.viewer.choice import Choice
+from studio.viewer.once import once
 from studio.viewer.player import Player
 from studio.viewer.recorded import RecordedPanel
 from studio.viewer.screen import Screen
@@ -38,13 +39,15 @@ class Beginning:
         self._screen = screen
         self._on_start = on_start
         self.recordings = recordings
+        self.begin_live = once(self.train_live)
+        """Does the same once, whether it was a button or the key that was pressed twice."""
         self._wants_film: bool | None = None
         """Whether the start page plays the recorded run; until it was asked, where there is no other run."""
         self.recorded = RecordedPanel(
             gui,
             on_film=self.want_film,
             on_open=lambda _: self.open_recorded(),
-            on_live=self.train_live,
+            on_live=self.begin_live,
             on_present=lambda _: on_present(),
         )
         self.start = StartPanel(gui, on_start=lambda request, _: self._begin(request), on_preview=screen.refresh)

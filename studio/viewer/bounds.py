@@ -66,8 +66,12 @@ class BoundsForm:
         """Show bounds and locks that have changed; inputs that somebody is editing stay as they are."""
         self._space, self._phi = space, phi
         for p in space.parameters:
-            if p != self.rows[p.name].shown:
-                self._fill(self.rows[p.name], p)
+            row = self.rows[p.name]
+            if (p.lo, p.hi) != (row.shown.lo, row.shown.hi):
+                row.bounds.value = (row.of(p.lo), row.of(p.hi))
+            if p.locked_at != row.shown.locked_at:
+                self._fill_lock(row, p)
+            row.shown = p
 
     def discard(self) -> None:
         """Show the bounds and locks again, whatever was edited."""
@@ -136,10 +140,14 @@ class BoundsForm:
 
     def _fill(self, row: Row, p: Parameter) -> None:
         row.bounds.value = (row.of(p.lo), row.of(p.hi))
+        self._fill_lock(row, p)
+        row.shown = p
+
+    @staticmethod
+    def _fill_lock(row: Row, p: Parameter) -> None:
         row.locked.value = p.locked_at is not None
         if p.locked_at is not None:
             row.value.value = row.of(p.locked_at)
-        row.shown = p
 
 
 def _short_names(members: Sequence[Parameter]) -> dict[str, str]:

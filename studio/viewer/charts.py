@@ -14,7 +14,7 @@ from studio.viewer.parts import COLOURS
 
 MOST_POINTS = 600
 """Largest number of points of a curve: twice the pixels of a chart, so that the extremes of every pixel are seen."""
-_HEIGHT = 118
+_HEIGHT = 122
 _ROWS_PER_SECOND = 1000
 """Number of rows for which a chart rests one second: every update resends the whole chart, so a long run is redrawn
 less often."""
@@ -175,7 +175,7 @@ class Chart:
             legend=viser.uplot.Legend(show=True, live=True),
             title=trace.title,
             height=_HEIGHT,
-            padding=(4, 12, 0, 0),
+            padding=(4, 12, 4, 0),
             order=self._order,
         )
 

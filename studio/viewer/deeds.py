@@ -9,6 +9,7 @@ from studio.viewer.choice import Choice
 from studio.viewer.export import ExportPanel
 from studio.viewer.framing import Framing
 from studio.viewer.keys import Deed, Do
+from studio.viewer.once import once
 from studio.viewer.player import Player
 from studio.viewer.run import MORE, RunPanel
 from studio.viewer.stage import Stage
@@ -48,11 +49,11 @@ def deeds_of(
         Deed("Play or pause the evolution", lambda _: timeline.toggle_evolution(), ("E",), icon.MOVIE),
         Deed("Star the shown design", at_a_run(timeline.toggle_star), ("S",), icon.STAR),
         Deed("Branch from the shown iteration", at_a_run(beginning.open_branch), ("B",), icon.GIT_BRANCH),
-        Deed("Pause or resume the run", at_a_run(run.toggle), ("P",), icon.PLAYER_PAUSE),
+        Deed("Pause or resume the run", once(at_a_run(run.toggle)), ("P",), icon.PLAYER_PAUSE),
         Deed("New run", lambda _: on_new(), ("N",), icon.PLUS),
         Deed("Presenter's mode", lambda _: on_present(not stage.presents), ("F",), icon.PRESENTATION),
         Deed("Leave presenter's mode", lambda _: on_present(False), ("escape",)),
-        Deed("Train live, in presenter's mode", in_presenters_mode(beginning.train_live), ("enter",)),
+        Deed("Train live, in presenter's mode", in_presenters_mode(beginning.begin_live), ("enter",)),
         Deed("Show the whole scene", lambda _: player.camera.look_at_all(), ("R",), icon.FOCUS_CENTERED),
         *(Deed(f"{word} the run", at_a_run(lambda client, word=word: run.ask(word, client))) for word in MORE),
         Deed("Continue the run from the shown design", at_a_run(timeline.go_on_from_here)),

@@ -21,6 +21,7 @@ class DesignPanel:
         self._gui = gui
         self._send = send
         self._names: tuple[str, ...] = ()
+        self._shown: str | None = None
         self._form: viser.GuiFormHandle | None = None
         self._bounds: BoundsForm | None = None
         self.note = gui.add_html(wording.paragraph(wording.dim("no data yet: press Start")))
@@ -43,7 +44,7 @@ class DesignPanel:
         self.holder.visible = False
 
     def update(self, history: History, status: Status) -> None:
-        """Show a run's present design; inputs that somebody is editing stay as they are."""
+        """Show a run's present design; inputs that somebody is editing stay as they are, but not for another run."""
         space, phi = history.design_space, history.phi
         if self._bounds is None or tuple(space.names) != self._names:
             self._bounds = self._build(space)
@@ -63,6 +64,9 @@ class DesignPanel:
         for group in self._bounds.groups:
             _tell(group, [words[name] for name in group.words])
         self._bounds.show(space, phi)
+        if self._shown != history.folder.id:
+            self._shown = history.folder.id
+            self._bounds.discard()
 
     def commands(self) -> list[AnyCommand]:
         """Return the commands for what was edited. Raise ValueError with a sentence if a value is not allowed."""

@@ -16,6 +16,7 @@ from studio.export.ros import FOLDER
 from studio.export.servos import FILE, ServoTable, takes_servos, verdict
 from studio.limits import LAST_ITERATION
 from studio.viewer import wording
+from studio.viewer.once import once
 
 BY_NEED = "by need"
 """Word for the servo that the export chooses itself."""
@@ -58,6 +59,8 @@ class ExportPanel:
         self._on_export = on_export
         self._history: History | None = None
         self._bundle: Bundle | None = None
+        self._choices = 0
+        """How often something else was chosen: a bundle that was asked for before is not offered after that."""
         self._takes_servos = False
         self.note = gui.add_html("")
         self.design = gui.add_dropdown("design", CHOICES, initial_value="best")
@@ -90,7 +93,8 @@ class ExportPanel:
             box.on_update(lambda _: self._choose())
         self.printer.on_update(lambda _: self._choose())
         self._at_work = threading.Lock()
-        self.check.on_click(lambda _: threading.Thread(target=self.submit, name="export", daemon=True).start())
+        begin = once(lambda _: threading.Thread(target=self.submit, name="export", daemon=True).start())
+        self.check.on_click(begin)
         self.download.on_click(lambda event: self.send(event.client))
         self.bring.on_upload(lambda event: on_import(event.target.value.content, event.client))
         self.clear()
@@ -138,6 +142,7 @@ class ExportPanel:
 
     def _submit(self) -> None:
         self._forget()
+        asked = self._choices
         try:
             which = self.which()
         except ValueError as error:
@@ -150,10 +155,12 @@ class ExportPanel:
             names = [name for name, box in self.formats.items() if box.value]
             bundle = self._on_export(which, names, servo, self._wanted_printer(names))
         except (ValueError, OSError) as error:
-            self.tell(str(error))
+            if asked == self._choices:
+                self.tell(str(error))
         else:
-            self.tell(None)
-            self._offer(bundle)
+            if asked == self._choices:
+                self.tell(None)
+                self._offer(bundle)
         finally:
             self.check.disabled = False
 
@@ -188,7 +195,8 @@ class ExportPanel:
             colour = wording.GREEN if table.suffices else wording.RED
             agreed += f'<br><span style="color:{colour}">{verdict(table)}</span>'
         hint = wording.dim("watch the .mjz: drop it on live.mujoco.org") if self.formats["mjcf"].value else ""
-        self.result.content = wording.rows(lines) + wording.paragraph(f"{agreed}<br>{hint}")
+        name = f'<span style="overflow-wrap:anywhere">{wording.text(bundle.name)}</span>'  # which design it is
+        self.result.content = wording.rows(lines) + wording.paragraph(f"{agreed}<br>{name}<br>{hint}")
         self.result.visible = True
         self.download.label = f"Download {wording.size(len(bundle.content))}"
         self.download.visible = True
@@ -196,6 +204,8 @@ class ExportPanel:
     def _forget(self) -> None:
         """Drop a bundle that is not what is chosen any more."""
         self._bundle = None
+        self._choices += 1
+        self.tell(None)
         self.result.visible = self.download.visible = False
 
     def _choose(self) -> None:

@@ -9,6 +9,7 @@ import viser
 from morph_core.history import History
 from studio.filming import FilmState, FilmWish
 from studio.viewer import wording
+from studio.viewer.once import once
 
 _FORMATS = {"evolution": ("mp4", "gif"), "episode": ("mp4", "gif"), "still": ("svg", "png")}
 _HEIGHTS = {"1920 x 1080 px": 1080, "1280 x 720 px": 720, "960 x 540 px": 540}
@@ -64,7 +65,7 @@ class FilmPanel:
             )  # fmt: skip
         self.what.on_update(lambda _: self._offer_formats())
         self.format.on_update(lambda _: self._offer_sizes())
-        self.make.on_click(lambda _: self.submit())
+        self.make.on_click(once(lambda _: self.submit()))
         self.cancel.on_click(lambda _: self._give_up())
         self.download.on_click(lambda event: self.send(event.client))
 

@@ -38,6 +38,7 @@ class PlaybackPanel:
         self._recorded: dict[str, Recorded] = {}
         self._wanted: Which = "median"
         self._take: Take | None = None
+        self._shown_time = 0.0
         self.panel = gui.add_panel()
         with self.panel.add_tab("Episode", viser.Icon.PLAYER_PLAY):
             self.none = gui.add_html("")
@@ -105,7 +106,7 @@ class PlaybackPanel:
             for handle in self._controls:
                 handle.visible = there
             self.time.max = max(round(duration, 2), 0.01)
-        self.time.value = min(round(seconds, 2), self.time.max)
+        self._shown_time = self.time.value = min(round(seconds, 2), self.time.max)
         if self.cursor.visible:
             self.cursor.content = cursor(seconds / duration if there else 0.0)
 
@@ -148,6 +149,7 @@ class PlaybackPanel:
         value = self.time.value
         if not 0 <= value <= self.time.max:
             self._on_refusal(f"the time must lie inside [0, {self.time.max:g}] s, not {value:g}", client)
+            self.time.value = self._shown_time
             return
         if self._player.playing:
             self.toggle_playback()

@@ -20,6 +20,7 @@ from morph_core.protocol import (
 from studio.log import acknowledgement, describe
 from studio.overdue import kill_is_offered
 from studio.viewer import wording
+from studio.viewer.once import once
 from studio.viewer.rules import rules_of
 
 NOT_LIVE: tuple[Status, ...] = ("queued", "stopped", "finished", "failed", "lost", "unreadable")
@@ -70,7 +71,7 @@ class RunPanel:
         self._always = self.state, self.bar, self.numbers, self.branch, self.log, self.rules
         self._at_times = self.failure, self.pause, self.resume, self.more, self.kill
         self.pause.on_click(lambda event: self._send(lambda: [Pause()], event.client))
-        self.resume.on_click(lambda event: self.go_on(event.client))
+        self.resume.on_click(once(lambda event: self.go_on(event.client)))
         self.kill.on_click(lambda event: self._send(lambda: [Kill()], event.client))
         self.branch.on_click(lambda event: on_branch(event.client))
         self.more.on_click(lambda event: self.ask(event.target.value, event.client))

@@ -18,6 +18,7 @@ from studio.fields import fields_of
 from studio.new_run import DEFAULT_ITERATIONS, Branch, StartRun, method_at, resettled, space_at
 from studio.viewer import wording
 from studio.viewer.bounds import BoundsForm
+from studio.viewer.once import once
 from studio.viewer.parts import shows_parts
 from studio.viewer.settings import SettingsForm
 from studio.viewer.take import Shot
@@ -73,7 +74,7 @@ class StartPanel:
                 hint="A design.json, or an exported zip: the run begins with it instead of the initial design",
             )  # fmt: skip
             self.forget = gui.add_button("Start from the initial design", icon=viser.Icon.X, visible=False)
-        self.start.on_click(lambda event: self.submit(event.client))
+        self.start.on_click(once(lambda event: self.submit(event.client)))
         self.task.on_update(lambda _: self._choose_task())
         self.method.on_update(lambda _: self._choose_method())
         self.preset.on_update(lambda _: self._choose_method())

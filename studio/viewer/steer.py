@@ -19,6 +19,7 @@ class SteerPanel:
 
     def __init__(self, gui: viser.GuiApi, *, send: Send) -> None:
         docs = docs_of(METHODS["morph"])
+        self._shown: str | None = None
         self._in_force: tuple[float, Projection] | None = None
         self.note = gui.add_html("")
         self.form = gui.add_form(None, visible=False)
@@ -37,7 +38,8 @@ class SteerPanel:
         self.note.content = wording.paragraph(wording.dim("no data yet: press Start"))
 
     def update(self, history: History, status: Status) -> None:
-        """Show the values in force once they change; until then, what somebody is editing stays as it is."""
+        """Show each value in force once it changes; until then, what somebody is editing stays as it is. Edits of one
+        run are not those of another."""
         later = status in TAKES_LATER_EDITS
         live = status not in NOT_LIVE
         self.form.visible = live or later
@@ -46,9 +48,12 @@ class SteerPanel:
             said = OBEYED_LATER if later else "To change how it learns, branch from it (Run tab)."
             self.note.content = wording.paragraph(wording.dim(f"This run is {status}. {said}"))
         in_force = history.in_force.alpha, history.in_force.projection
-        if in_force != self._in_force:
-            self._in_force = in_force
-            self.alpha.value, self.projection.value = in_force
+        before = self._in_force if self._shown == history.folder.id else None
+        self._shown, self._in_force = history.folder.id, in_force
+        if before is None or before[0] != in_force[0]:
+            self.alpha.value = in_force[0]
+        if before is None or before[1] != in_force[1]:
+            self.projection.value = in_force[1]
 
     def commands(self) -> list[AnyCommand]:
         """Return the commands for what was edited. Raise ValueError with a sentence if a value is not allowed."""

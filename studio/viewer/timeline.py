@@ -116,8 +116,8 @@ class TimelinePanel:
         held = not self.follow.value and not self.evolution.playing
         return held and self.shown_iteration > self._first and self.shown_iteration not in self._recorded
 
-    def update(self, history: History, *, live: bool, starred: Sequence[int] = (), by_hand: bool = False) -> None:
-        """Offer the iterations that a run has recorded, and say which one is shown, or was changed `by_hand`."""
+    def update(self, history: History, *, live: bool, starred: Sequence[int] = (), instead: str = "") -> None:
+        """Offer the iterations that a run has recorded, and say which one is shown, or what is seen `instead` of it."""
         another = self._history is None or history.record.id != self._history.record.id
         self._history, self._starred = history, starred
         if another:
@@ -131,8 +131,8 @@ class TimelinePanel:
         if self.follow.value or not self._first <= self.iteration.value <= self.iteration.max:
             self.iteration.value = self._known(self.shown_iteration)
         self.inject.visible = live and not self.follow.value
-        changed = f"a body changed by hand, with the policy of iteration {self.shown_iteration}"
-        self.what.content = wording.paragraph(changed if by_hand else self._what())
+        seen = f"{instead} of iteration {self.shown_iteration}" if instead else self._what()
+        self.what.content = wording.paragraph(seen)
         self._mark(history)
         self._tell(history)
 

@@ -326,12 +326,12 @@ class Viewer:
 
     def _show_timeline(self, history: History, live: bool) -> None:
         """Show the timeline, and turn it to the iteration that is sought."""
-        starred, by_hand = self._album.starred(history), self.what_if.is_changed
-        self.timeline.update(history, live=live, starred=starred, by_hand=by_hand)
+        starred, instead = self._album.starred(history), self.what_if.instead
+        self.timeline.update(history, live=live, starred=starred, instead=instead)
         if self.choice.sought is not None:
             self.timeline.turn_to(self.choice.sought)
             self.choice.sought = None
-            self.timeline.update(history, live=live, starred=starred, by_hand=by_hand)
+            self.timeline.update(history, live=live, starred=starred, instead=instead)
 
     def _turn(self) -> None:
         """Show another design: first the body, as a person waits for that, then all that is said of it."""

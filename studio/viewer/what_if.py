@@ -17,6 +17,7 @@ from studio.evaluator import EvaluatorError
 from studio.viewer import wording
 from studio.viewer.curves import Scale, curves_of, legend_of_curves, scale_of
 from studio.viewer.newest import Newest
+from studio.viewer.once import once
 from studio.viewer.outcome import outcome_table
 from studio.viewer.parts import Unit, quantities_of, unit_of
 from studio.viewer.view import Remembered
@@ -142,8 +143,8 @@ class WhatIfPanel:
         self.sweep.on_click(self._in_turn(lambda _: self._start_sweep()))
         self.stop_sweep.on_click(self._in_turn(lambda _: self._end_sweep()))
         self.inject.on_click(lambda event: on_inject(self._phi.tolist, event.client))
-        self.branch.on_click(lambda event: on_branch(self._iteration, self._phi.tolist(), event.client))
-        self.export.on_click(lambda event: self._export(on_export, event.client) if event.client else None)
+        self.branch.on_click(once(lambda event: self._branch(on_branch, event.client)))
+        self.export.on_click(once(lambda event: self._export(on_export, event.client) if event.client else None))
         self._asking, self._sweeping = Newest("what-if", _REST), Newest("what-if-sweep")
         self._marking = Newest("what-if-marks", _REST)
         self.clear()
@@ -162,6 +163,13 @@ class WhatIfPanel:
     def is_changed(self) -> bool:
         """Tell whether the design of the sliders is another than the recorded one."""
         return self.open and not np.array_equal(self._phi, self._recorded)
+
+    @property
+    def instead(self) -> str:
+        """Return what is seen instead of a recorded episode, as words before "of iteration 5"; nothing while closed."""
+        if not self.open:
+            return ""
+        return "a body changed by hand, with the policy" if self.is_changed else "the recorded body, with the policy"
 
     def clear(self) -> None:
         """Show no run."""
@@ -213,6 +221,14 @@ class WhatIfPanel:
                 act(event)
 
         return done
+
+    def _branch(
+        self,
+        on_branch: Callable[[int, list[float], viser.ClientHandle | None], None],
+        client: viser.ClientHandle | None,
+    ) -> None:
+        if self.open:
+            on_branch(self._iteration, self._phi.tolist(), client)
 
     def _export(
         self, on_export: Callable[[int, list[float], viser.ClientHandle], None], client: viser.ClientHandle

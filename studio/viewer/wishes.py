@@ -1,14 +1,16 @@
 """What people ask of the run on screen, handed on to where it is done; what is refused is said on the page."""
 
+import time
 from collections.abc import Callable, Sequence
 
 import viser
 
-from morph_core.protocol import AnyCommand, InjectDesign
+from morph_core.protocol import AnyCommand, InjectDesign, StepIteration
 from studio.export.bundle import Bundle
 from studio.export.design_file import phi_for, read_design
 from studio.viewer.choice import Choice
 from studio.viewer.gallery import Album
+from studio.viewer.once import AGAIN
 from studio.viewer.pending import Pending
 from studio.viewer.screen import Screen
 
@@ -42,6 +44,8 @@ class Wishes:
         self._on_branch = on_branch
         self._on_export = on_export
         self.pending = Pending()
+        self._last: tuple[tuple[str, Sequence[AnyCommand]], float] = ("", ()), -AGAIN
+        """The commands that were asked for last, those of which run, and when, by the monotonic clock."""
 
     def send(self, commands: Callable[[], Sequence[AnyCommand]], client: viser.ClientHandle | None) -> None:
         """Send the commands that `commands` makes; none of them if it refuses to make one."""
@@ -53,7 +57,7 @@ class Wishes:
         answered = len(history.acknowledged) if history else 0
         try:
             wanted = commands()  # all are checked before the first one leaves
-            for command in wanted:
+            for command in () if self._is_again(run_id, wanted) else wanted:
                 self._on_command(run_id, command, _sender(client))
                 self.pending.add(run_id, command, answered)
         except (ValueError, OSError) as error:
@@ -61,6 +65,12 @@ class Wishes:
             return
         self._screen.tell(None if wanted else "nothing was changed: nothing to apply")
         self._screen.refresh()
+
+    def _is_again(self, run_id: str, wanted: Sequence[AnyCommand]) -> bool:
+        """Tell whether a double click asks for the last commands once more; every Step counts."""
+        before, at = self._last
+        self._last = (run_id, wanted), time.monotonic()
+        return before == (run_id, wanted) and self._last[1] - at < AGAIN and StepIteration() not in wanted
 
     def inject(self, phi: Callable[[], list[float]], client: viser.ClientHandle | None) -> None:
         """Let the run go on with the design that `phi` returns."""

@@ -90,15 +90,13 @@ def rows(cells: list[tuple[str, str]]) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Return a time in words, such as 42 s, 3 min 05 s or 1 h 20 min."""
+    """Return a time in words, such as 42 s, 3 min or 1 h 20 min, as the bar and the table of runs have it."""
     if seconds is None or not math.isfinite(seconds) or seconds < 0:
         return "unknown"
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    if seconds < 90:
+        return f"{max(1, math.floor(seconds + 0.5))} s"
+    minutes = math.floor(seconds / 60 + 0.5)
+    return f"{minutes} min" if seconds < 5400 else f"{minutes // 60} h {minutes % 60} min"
 
 
 def count(number: int) -> str:

@@ -13,6 +13,8 @@ from tests.studies import Made, write_study
 PATIENCE = 60_000
 """Milliseconds that anything may take: this machine may do much else, and Playwright's 5 s for a claim are too few."""
 expect.set_options(timeout=PATIENCE)
+LONGEST = 600
+"""Seconds that a whole test may take: ten times as long as where nothing else is at work."""
 
 # Headless WebGL without a GPU; the rest keeps Chromium from talking to anyone but the server under test.
 FLAGS = [
@@ -25,6 +27,12 @@ FLAGS = [
     "--disable-dev-shm-usage",
     "--no-first-run",
 ]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.parent == Path(__file__).parent:
+            item.add_marker(pytest.mark.timeout(LONGEST))
 
 
 @pytest.fixture

@@ -14,6 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from playwright.sync_api import Page
+
 from morph_core.protocol import Heartbeat
 from morph_core.run_folder import RunFolder, list_runs, process_alive
 
@@ -33,6 +35,11 @@ def wait_for(what: str, claim: Callable[[], T], seconds: float) -> T:
         assert time.monotonic() < deadline, f"waited {PATIENCE * seconds} s in vain for {what}"
         time.sleep(0.1)
     return value
+
+
+def fits(page: Page, width: int) -> None:
+    """Wait until a page is as wide as its window, so that nothing of it lies beside."""
+    wait_for(f"a page {width} px wide", lambda: page.evaluate("document.documentElement.scrollWidth") == width, 10)
 
 
 def free_port() -> int:

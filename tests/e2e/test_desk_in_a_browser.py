@@ -1,5 +1,6 @@
 """A browser has a view of its own, is worked by keys, and shows a newcomer round."""
 
+import json
 import re
 
 import pytest
@@ -7,8 +8,12 @@ from playwright.sync_api import Page, expect
 from served import Server
 from test_studio import viewer_of
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
+from studio.viewer import wording
 
+pytestmark = pytest.mark.browser
+
+SHARES = [0.0, 0.005, 0.015, 0.125, 0.375, 0.5, 0.994, 0.995, 1.0]
+TIMES = [0.2, 1.0, 59.6, 89.4, 90.0, 150.0, 5399.0, 5400.0, 7169.0, 7190.0, 90_000.0]
 OLD, NEW = "reacher-direct-s0", "reacher-direct-s1"
 
 
@@ -21,6 +26,12 @@ def choose(page: Page, run: str) -> None:
     """Choose a run in the bar, and wait until it is shown."""
     page.locator("#chooser").select_option(run)
     shows(page, run)
+    obeys(page)
+
+
+def obeys(page: Page) -> None:
+    """Wait until the viewer knows its keys: they come before what it says of a run."""
+    expect(viewer_of(page).get_by_text("In force at iteration").first).to_be_attached()
 
 
 def shows(page: Page, run: str, iteration: int | None = None) -> None:
@@ -31,8 +42,11 @@ def shows(page: Page, run: str, iteration: int | None = None) -> None:
 
 @pytest.mark.usefixtures("runs")
 def test_one_person_does_not_see_what_another_one_chooses(server: Server, page: Page, other: Page) -> None:
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.post_data or "") if request.method == "PUT" else None)
     open_page(page, server.url)
     choose(page, NEW)
+    assert json.loads(asked[-1])["ticks"] == {}, "the viewer knows best what was ticked a moment ago"
     other.context.add_cookies(page.context.cookies())  # pyright: ignore[reportArgumentType]
     open_page(other, f"http://127.0.0.1:{server.port}/")
     choose(other, NEW)
@@ -51,6 +65,8 @@ def test_one_person_does_not_see_what_another_one_chooses(server: Server, page: 
 def test_keys_scrub_follow_help_and_begin(server: Server, page: Page) -> None:
     open_page(page, server.url)
     choose(page, NEW)
+    assert page.evaluate("(all) => all.map(percent)", SHARES) == list(map(wording.percent, SHARES))
+    assert page.evaluate("(all) => all.map(duration)", TIMES) == list(map(wording.duration, TIMES))
     for iteration in (9, 8):
         page.keyboard.press("ArrowLeft")
         shows(page, NEW, iteration)

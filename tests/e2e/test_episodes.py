@@ -1,8 +1,10 @@
 """What a person does with the episodes of a run, and with two designs at once, in a browser."""
 
+import contextlib
+
 import numpy as np
 import pytest
-from playwright.sync_api import Frame, Locator, Page, expect
+from playwright.sync_api import Frame, Locator, Page, TimeoutError, expect
 from served import Server, wait_for
 from test_desk_in_a_browser import shows
 from test_studio import nodes_of, pause, turn_to, viewer_of
@@ -60,13 +62,35 @@ def open_run(page: Page, server: Server, run: RunFolder) -> Frame:
 
 
 def choose(frame: Frame, label: str, option: str) -> None:
-    """Choose from the list beside a label."""
+    """Choose from the list beside a label; a list that is redrawn under the pointer is opened once more."""
     row = frame.get_by_text(label, exact=True).first.locator("xpath=ancestor::div[contains(@class, 'Flex-root')][1]")
-    row.locator("input").first.click(force=True)
-    entry = frame.get_by_role("option", name=option).first
-    entry.wait_for()
-    entry.click(force=True)
-    pause(entry)
+    shown, entry = row.locator("input").first, frame.get_by_role("option", name=option).first
+
+    def chosen() -> bool:
+        if option in shown.input_value():
+            return True
+        if not entry.is_visible():
+            shown.click(force=True)
+        with contextlib.suppress(TimeoutError):
+            entry.click(force=True, timeout=3000)
+        pause(shown)
+        return option in shown.input_value()
+
+    wait_for(f"{label}: {option}", chosen, 20)
+
+
+def type_time(frame: Frame, seconds: float) -> None:
+    """Go to a time of the episode that rests; what the player has said just before may come after what is typed."""
+    entry = number_beside(frame, "time [s]")
+
+    def there() -> bool:
+        entry.fill(f"{seconds:g}")
+        entry.press("Enter")
+        pause(entry)
+        return is_at(frame, seconds)
+
+    wait_for(f"the time {seconds}", there, 10)
+    entry.blur()  # keys that are typed into an input are no commands
 
 
 def number_beside(frame: Frame, label: str) -> Locator:
@@ -76,7 +100,8 @@ def number_beside(frame: Frame, label: str) -> Locator:
 
 
 def is_at(frame: Frame, seconds: float) -> bool:
-    return abs(float(number_beside(frame, "time [s]").input_value()) - seconds) < 0.006
+    """Tell whether the input beside the slider says so; it may be empty while it is redrawn."""
+    return abs(float(number_beside(frame, "time [s]").input_value() or "nan") - seconds) < 0.006
 
 
 def test_the_best_and_the_worst_episode_are_watched_frame_by_frame(
@@ -91,11 +116,7 @@ def test_the_best_and_the_worst_episode_are_watched_frame_by_frame(
 
     frame.get_by_role("button", name="Pause playback", exact=True).dispatch_event("click")
     frame.get_by_role("button", name="Play", exact=True).wait_for()
-    entry = number_beside(frame, "time [s]")
-    entry.fill("1")
-    entry.press("Enter")
-    pause(entry)
-    entry.blur()  # keys that are typed into an input are no commands
+    type_time(frame, 1)
     for key, now in ((".", 61), (".", 62), (",", 61)):
         frame.locator("body").press(key)
         wait_for(f"frame {now}", lambda now=now: is_at(frame, now / FRAMES_PER_SECOND), 10)

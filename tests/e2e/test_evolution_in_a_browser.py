@@ -16,7 +16,7 @@ from morph_core.run_folder import EventLog, RunFolder, write_episode
 from studio.show.evolution import build_evolution
 from tests.hands import trained_design, write_hand_run
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.browser
 Opened = Callable[[Path], None]
 STATE = """show.ready.then(({ place, mode, time, frames, runners, span }) => ({
     place, mode, time, frames, span, iterations: runners.map(({ iteration }) => iteration),

@@ -11,7 +11,7 @@ from served import Server, wait_for
 from studio.recordings import Recordings
 from tests.studies import Made, write_study
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.browser
 
 
 def fill(server: Server, count: int) -> list[str]:

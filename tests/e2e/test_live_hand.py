@@ -19,7 +19,7 @@ from studio.show.hand import hand_of
 from studio.show.page import build_page
 from tests.hands import trained_design, write_trained_run
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.browser
 STARTS = 20
 UNTOUCHED = 1e-6
 """m and rad: how far joints may be apart after the first control step, before anything has touched anything."""

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from conftest import FLAGS, PATIENCE, chromium
 from playwright.sync_api import Page, expect, sync_playwright
-from served import Server, beat_of, events_of, wait_for
+from served import Server, beat_of, events_of, fits, wait_for
 
 from morph_core.protocol import Acknowledged, Lock, Progress, SetAlpha, SetBound, Stop
 from morph_core.run_folder import list_runs
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.browser
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def test_a_run_is_started_steered_and_exported_without_webgl(server: Server, fla
     page, complaints = flat_page, []
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.goto(server.url)
-    expect(page.get_by_text("This browser shows no 3-D:")).to_be_visible(timeout=5000)
+    expect(page.get_by_text("This browser shows no 3-D:")).to_be_visible()
     expect(page.locator("#loading")).to_be_hidden()
     expect(page.locator("#chooser")).to_contain_text("no runs yet")
 
@@ -84,7 +84,7 @@ def test_a_run_is_started_steered_and_exported_without_webgl(server: Server, fla
 
     for width in (390, 1280):
         page.set_viewport_size({"width": width, "height": 800})
-        assert page.evaluate("document.documentElement.scrollWidth") == width
+        fits(page, width)
     page.get_by_role("link", name="Runs", exact=True).click()
     expect(page.locator(".tabulator-row")).to_have_count(1)
     assert complaints == []

@@ -8,7 +8,7 @@ from playwright.sync_api import Page
 from studio.notebook import open_run
 from tests.hands import write_trained_run
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.browser
 
 
 def test_a_hand_runs_in_the_frame_and_the_notebook_is_out_of_its_reach(page: Page, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 from served import Server, events_of, wait_for
+from test_episodes import choose
 from test_studio import nodes_of, open_studio, press, robot_of, turn_to
 
 from morph_core.protocol import Evaluation
@@ -57,10 +58,8 @@ def test_a_task_of_another_package_is_started_watched_and_downloaded(server: Ser
     assert (broken["name"], broken["package"]) == ("hooke", "springs 1.0")
     assert broken["reason"] == "RuntimeError: no spring is attached"
     expect(frame.get_by_text("no spring is attached").first).to_be_attached()
-    frame.locator("input[value=reacher]").first.click()
-    frame.get_by_role("option", name="own_throw").click()
-    frame.locator("input[value=cma]").first.click()
-    frame.get_by_role("option", name="scatter").click()
+    choose(frame, "task", "own_throw")
+    choose(frame, "search", "scatter")
     wait_for("a ball in the scene", lambda: "/objects/sphere" in nodes_of(frame), 30)
 
     refused = page.request.post(f"{api}/runs", data={"task": "own_throw", "settings": {"search.tries": 3}})

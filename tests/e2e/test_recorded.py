@@ -8,7 +8,7 @@ from test_studio import robot_of, viewer_of
 from morph_core.protocol import StateChanged
 from morph_core.run_folder import list_runs
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.browser
 
 
 def test_a_first_visit_sees_a_robot_evolve_and_a_key_trains_one(server: Server, page: Page) -> None:

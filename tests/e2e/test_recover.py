@@ -12,7 +12,7 @@ from served import Server, wait_for
 from test_desk_in_a_browser import NEW, OLD, choose, open_page, shows
 from test_studio import viewer_of
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.browser
 
 
 @contextlib.contextmanager

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import ConsoleMessage, Locator, Page, expect
-from served import Server, wait_for
+from served import Server, fits, wait_for
 
 from morph_core.run_folder import list_runs
 from studio.shelf.marks import Marks, read_marks
+from studio.viewer import wording
 from tests.studies import Made, write_study
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.browser
 
 EVIL = "<img src=x onerror=\"document.title='taken'\">"
 
@@ -51,6 +52,8 @@ def open_runs(page: Page, server: Server) -> list[str]:
 def test_runs_are_found_noted_archived_deleted_and_brought_back(server: Server, runs: Path, page: Page) -> None:
     complaints = open_runs(page, server)
     expect(rows_of(page)).to_have_count(6)
+    said = "import('./page/runs-table.js').then(({ duration }) => [45, 5399, 7190].map(duration))"
+    assert page.evaluate(said) == list(map(wording.duration, (45, 5399, 7190)))
     expect(page.locator("#count")).to_have_text("6 runs")
     first = row_of(page, "reacher-direct-s0")
     expect(first).to_contain_text("finished")
@@ -144,7 +147,7 @@ def test_runs_are_found_noted_archived_deleted_and_brought_back(server: Server, 
 
     for width in (390, 1920):
         page.set_viewport_size({"width": width, "height": 800})
-        assert page.evaluate("document.documentElement.scrollWidth") == width
+        fits(page, width)
     assert (complaints, page.title()) == ([], "Runs · MORPH Studio")
     server.kill()
     expect(page.get_by_text("The server does not answer")).to_be_visible()
@@ -173,12 +176,13 @@ def test_runs_are_compared_and_a_design_is_opened_in_3d(server: Server, page: Pa
     page.locator("#designs").select_option("best")
     expect(page.locator("#brushed")).to_contain_text("6 designs")
     page.locator("#designs").select_option("all")
+    expect(page.locator("#brushed")).to_contain_text("18 designs")
     traces, parallel = page.locator("#traces canvas"), page.locator("#parallel canvas")
     drawn = "canvas => new Set(canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data).size"
+    wait_for("the traces", lambda: traces.evaluate(drawn) > 50, 10)
     before = traces.evaluate("canvas => canvas.toDataURL()")
-    assert traces.evaluate(drawn) > 50
     page.locator("#measure").select_option("episode_return")
-    assert traces.evaluate("canvas => canvas.toDataURL()") != before
+    wait_for("other traces", lambda: traces.evaluate("canvas => canvas.toDataURL()") != before, 10)
 
     # The upper half of the axis of success, brushed, leaves the designs of one method.
     box = parallel.bounding_box()
@@ -191,10 +195,15 @@ def test_runs_are_compared_and_a_design_is_opened_in_3d(server: Server, page: Pa
     expect(page.locator("#brushed")).to_have_text(re.compile(r"^\d of 18 designs"))
 
     # A line under the pointer is named; a click opens it.
-    for share in range(20, 80):
-        page.mouse.move(box["x"] + axis - 30, box["y"] + box["height"] * share / 100)
-        if page.locator("#design").is_visible():
-            break
+    def names_a_line() -> bool:
+        for share in range(20, 80):
+            page.mouse.move(box["x"] + axis - 30, box["y"] + box["height"] * share / 100)
+            page.evaluate("new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)))")
+            if page.locator("#design").is_visible():
+                return True
+        return False
+
+    wait_for("a line under the pointer", names_a_line, 30)
     told = re.search(r"(\S+)\niteration (\d+)", page.locator("#caption").inner_text())
     assert told is not None
     assert complaints == []

@@ -10,7 +10,7 @@ from test_studio import nodes_of
 
 from tests.studies import Made, write_study
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.browser
 PREFIX = "/user/me/proxy/8000"
 
 

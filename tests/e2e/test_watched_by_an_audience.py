@@ -12,7 +12,7 @@ from test_studio import nodes_of
 
 from studio.bridge import ALLOWED
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.browser
 ASK = """async ([method, path, content]) => (await fetch(path, {
     method, headers: {"Content-Type": "application/json"}, body: content && JSON.stringify(content) })).status"""
 FORGE = """([path, messages]) => new Promise((done) => {

@@ -19,7 +19,7 @@ def number_beside(frame: Frame, label: str) -> Locator:
 def sizes_of(frame: Frame) -> list[float]:
     """Return the sizes of the robot's parts as the browser's scene holds them."""
     script = """() => {
-        const nodes = window.__viserSceneTree.getState(), found = [];
+        const nodes = window.__viserSceneTree?.getState() ?? {}, found = [];
         for (const name of Object.keys(nodes).sort()) {
             const props = name.startsWith('/robot/') && nodes[name]?.message.props;
             if (props?.batched_scales) found.push(...Array.from(new Uint8Array(props.batched_scales.buffer)));

@@ -3,11 +3,11 @@
 import pytest
 from playwright.sync_api import Frame, Page
 from served import Server
-from test_studio import open_studio, viewer_of
+from test_studio import open_studio, pause, viewer_of
 
 from tests.studies import Made, write_study
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.browser
 WILD = ("99999999999999999999", "1e308")
 
 
@@ -17,7 +17,7 @@ def type_into(frame: Frame, label: str, words: str) -> None:
     field = row.locator("input").first
     field.fill(words)
     field.press("Tab")
-    frame.page.wait_for_timeout(500)
+    pause(field)
 
 
 def test_the_next_browser_is_served(server: Server, page: Page, other: Page) -> None:

@@ -234,7 +234,7 @@ def test_the_panel_shows_how_far_the_film_is_and_hands_it_out(page: Page, tmp_pa
     panel.submit()
     films.state = msgspec.structs.replace(films.state, frames=400, done=100, seconds_left=90.0)
     page.viewer.refresh()
-    assert "100 of 400 frames, about 1 min 30 s left" in panel.note.content
+    assert "100 of 400 frames, about 2 min left" in panel.note.content
     assert (panel.bar.value, panel.bar.visible, panel.make.visible, panel.cancel.visible) == (25.0, True, False, True)
     assert not panel.size.visible
     films.path = tmp_path / "film.mp4"

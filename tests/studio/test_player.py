@@ -1,6 +1,7 @@
 """The player and the timeline on a real viser server, worked by handles and by a browser's raw messages."""
 
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -97,13 +98,16 @@ def test_follow_shows_the_latest_episode_and_a_choice_stays(page: Page, folder: 
 def test_an_iteration_of_which_no_episode_was_recorded_has_one_run(
     page: Page, episode: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    go_on, evaluate = threading.Event(), page.answers.evaluate
     monkeypatch.setattr(RunFolder, "checkpoint_up_to", lambda _, iteration: iteration)
+    monkeypatch.setattr(page.answers, "evaluate", lambda *args: go_on.wait(60) and evaluate(*args))
     page.show(episode)
     page.viewer.turn_to(1)
     page.viewer.looks.trail.value = True
     assert page.take(lambda take: take.shot.phi == (2.9,) * 5).frames == 1
     what = page.viewer.timeline.what
     assert "in its start posture: no episode was recorded, so one is being run" in what.content
+    go_on.set()
     take = page.take(lambda take: take.shot.played is not None)
     assert (take.shot.phi, take.frames > 1) == ((2.9,) * 5, True)
     assert eventually(lambda: "iteration 1, playing an episode that was run just now: none was" in what.content)
@@ -178,5 +182,6 @@ def test_values_from_the_wire_beyond_their_slider_are_refused(
     assert timeline.shown_iteration == 4
     wire(playback.time, math.nan)
     assert eventually(lambda: "time must lie inside" in page.viewer.notice.content)
+    assert eventually(lambda: not math.isnan(playback.time.value)), "what was refused does not stay on screen"
     assert page.viewer.player.take is not None
     assert page.commands == []

@@ -181,13 +181,18 @@ def test_a_link_with_a_token_leads_to_the_page_that_it_names(shared: Served) -> 
     with httpx.Client(base_url=f"http://127.0.0.1:{shared.port}") as browser:
         entered = browser.get("/study", params={"token": TOKEN})
         assert (entered.status_code, entered.headers["location"]) == (303, "./study")
-        presented = browser.get("/", params={"token": TOKEN, "present": "//evil.example", "run": "x"})
-        assert (presented.status_code, presented.headers["location"]) == (303, "./?present=1")
+        place = {"run": '"><b>&x', "iteration": "7"}
+        presented = browser.get("/", params={"token": TOKEN, "present": "//evil.example", "next": "//evil", **place})
+        there = "?run=%22%3E%3Cb%3E%26x&iteration=7"
+        assert (presented.status_code, presented.headers["location"]) == (303, f"./{there}&present=1")
+        assert browser.get("/", params={"token": TOKEN, "iteration": "//evil"}).headers["location"] == "./"
         assert browser.get("/study").status_code == 200
-    assert (
-        "url=./study"
-        in PLAIN.get(f"http://127.0.0.1:{shared.port}/study", headers={"Sec-Fetch-Site": "cross-site"}).text
-    )
+    elsewhere = {"Sec-Fetch-Site": "cross-site"}
+    assert "url=./study" in PLAIN.get(f"http://127.0.0.1:{shared.port}/study", headers=elsewhere).text
+    asked = PLAIN.get(f"http://127.0.0.1:{shared.port}/", params=place, headers=elsewhere).text
+    assert f'url=./{there.replace("&", "&amp;")}"' in asked
+    assert '<input type="hidden" name="run" value="&quot;&gt;&lt;b&gt;&amp;x">' in asked
+    assert "<b>" not in asked
 
 
 @pytest.mark.parametrize("page", ["/", "/study"])

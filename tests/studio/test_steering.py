@@ -159,7 +159,7 @@ def test_alpha_that_was_accepted_is_in_force_before_the_next_iteration(page: Pag
     assert page.viewer.steer.alpha.value == 4.0
 
 
-def test_what_somebody_types_into_the_steering_form_stays_until_something_changes(
+def test_what_somebody_types_into_the_steering_form_stays_until_that_value_changes(
     page: Page, folder: RunFolder
 ) -> None:
     page.show(folder, "paused")
@@ -168,7 +168,10 @@ def test_what_somebody_types_into_the_steering_form_stays_until_something_change
     assert page.viewer.steer.alpha.value == 7.0
     append(folder, Acknowledged(id=1, iteration=3, accepted=True, command=SetProjection("one_sided")))
     page.show(folder, "paused")
-    assert (page.viewer.steer.alpha.value, page.viewer.steer.projection.value) == (1.0, "one_sided")
+    assert (page.viewer.steer.alpha.value, page.viewer.steer.projection.value) == (7.0, "one_sided")
+    append(folder, Acknowledged(id=2, iteration=3, accepted=True, command=SetAlpha(2.0)))
+    page.show(folder, "paused")
+    assert page.viewer.steer.alpha.value == 2.0
 
 
 def test_the_design_form_sends_bounds_and_locks_together(page: Page, folder: RunFolder) -> None:

@@ -256,6 +256,7 @@ def test_what_was_compared_is_shown_and_a_change_of_mind_takes_it_away(page: Pag
     export = page.viewer.export
     export.submit()
     assert "1 comparisons agree" in export.result.content
+    assert "design.zip" in export.result.content, "which run and design it is"
     assert "mjcf" in export.result.content
     assert "0 kB" in export.download.label
     assert export.download.visible
