@@ -171,4 +171,5 @@ def _words(state: FilmState) -> str:
         return f"{name}<br>{wording.dim('is being drawn')}"
     left = "" if state.seconds_left is None else f", about {wording.duration(state.seconds_left)} left"
     far = f"{state.done} of {state.frames} frames{left}" if state.frames else "being prepared…"
-    return f"{name}<br>{wording.dim(far)}"
+    slowly = "; slowly, as the processors are busy" if state.resting else ""
+    return f"{name}<br>{wording.dim(far + slowly)}"
