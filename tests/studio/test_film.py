@@ -344,8 +344,10 @@ def test_a_full_disk_and_a_missing_ffmpeg_are_told_with_what_still_works(
 
 def test_what_ffmpeg_says_of_a_full_disk_becomes_a_sentence(reached: RunFolder, tmp_path: Path) -> None:
     made = Reel.of(plan_episode([(History(reached), "best")], None, SMALL, 5), tmp_path / "film.mp4")
-    assert "the same command goes on from there" in made._why(b"av_interleaved_write_frame(): No space left on device")
-    assert "ffmpeg can't encode the film: Unknown encoder" in made._why(b"first\nUnknown encoder 'libx264'")
+    assert "the same command goes on from there" in str(
+        made._why(b"av_interleaved_write_frame(): No space left on device")
+    )
+    assert "ffmpeg can't encode the film: Unknown encoder" in str(made._why(b"first\nUnknown encoder 'libx264'"))
 
 
 # --- stills -----------------------------------------------------------------------------------------------------------

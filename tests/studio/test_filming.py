@@ -312,8 +312,9 @@ def form_of(page: Page) -> tuple[FilmPanel, Cutter]:
 
 def test_the_panel_wishes_for_what_it_says(page: Page, tmp_path: Path) -> None:
     panel, films = form_of(page)
-    assert not panel.folder.visible
+    assert not page.viewer.export.ways.visible
     page.show(make_run(tmp_path))
+    assert page.viewer.export.ways.visible
     panel.submit()
     page.viewer.export.design.value = "iteration"
     page.viewer.export.iteration.value = 3
