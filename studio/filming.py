@@ -1,6 +1,8 @@
 """Films and stills made in the background: one at a time, by a process of its own that gives way to all others."""
 
 import contextlib
+import fcntl
+import os
 import shutil
 import signal
 import subprocess
@@ -14,6 +16,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
+import psutil
 
 from morph_core.protocol import Which
 from studio.trainers import trainer_environment
@@ -27,6 +30,8 @@ CPU_SECONDS = 1800
 _PATIENCE = 30.0
 """Seconds in which whoever asks for a film is told that it can't be made, rather than that it has begun."""
 _LOG_BYTES = 4096
+_PREFIX, _LOCK = "morph-film-", "lock"
+"""Beginning of the names of folders in which films are made, and the file in each that its server holds locked."""
 
 Format = Literal["mp4", "gif", "svg", "png"]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
@@ -104,6 +109,8 @@ class FilmState(msgspec.Struct, frozen=True, kw_only=True):
     """Frames that are drawn."""
     seconds_left: float | None = None
     """Time until it is ready, as fast as the frames up to now; None until some are drawn."""
+    resting: bool = False
+    """Whether it is made at a fifth of its pace, as other work keeps the processors busy."""
     size: int = 0
     """Bytes of the file, once it is ready."""
     reason: str = ""
@@ -120,10 +127,11 @@ class Order(msgspec.Struct, frozen=True):
 
 
 class Said(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A line of the process: how many frames there will be and are done, or why it is given up."""
+    """A line of the process: how many frames there will be and are done, whether it rests, or why it is given up."""
 
     frames: int = 0
     done: int = 0
+    resting: bool = False
     failed: str = ""
 
 
@@ -163,14 +171,16 @@ class Films:
         self._lock = threading.Lock()
         self._state = FilmState()
         self._making: _Making | None = None
-        self._home: Path | None = None
+        self._home: _Home | None = None
         self._closed = False
+        _sweep()
 
     @property
     def state(self) -> FilmState:
         """Return how far the film is."""
         with self._lock:
-            return msgspec.structs.replace(self._state, seconds_left=self._seconds_left())
+            resting = self._state.resting and self._making is not None
+            return msgspec.structs.replace(self._state, seconds_left=self._seconds_left(), resting=resting)
 
     def start(self, wish: FilmWish) -> FilmState:
         """Begin a film. Raise ValueError with a sentence if another one is being made, or this one can't be."""
@@ -183,8 +193,15 @@ class Films:
             if self._closed:
                 raise ValueError("the studio is about to end")
             self._discard()
-            self._home = home = Path(tempfile.mkdtemp(prefix="morph-film-"))
-            child = self._spawn(Order(wish, folders, str(home / wish.file_name)), home / "log")
+            self._state = FilmState(number=self._state.number)
+            try:
+                self._home = _Home.made()
+                home = self._home.path
+                child = self._spawn(Order(wish, folders, str(home / wish.file_name)), home / "log")
+            except OSError as error:
+                self._discard()
+                where = tempfile.gettempdir()
+                raise ValueError(f"no film can be made in {where}: {error.strerror or error}") from error
             self._making = making = _Making(home, child)
             self._state = FilmState(state="making", number=self._state.number + 1, wish=wish, name=wish.file_name)
         threading.Thread(target=self._follow, args=(making,), name="film", daemon=True).start()
@@ -204,13 +221,13 @@ class Films:
             elif self._state.state == "ready":
                 self._state = FilmState(number=self._state.number)
             self._discard()
-            return self._state
+        return self.state
 
     def file(self, number: int) -> Path | None:
         """Return the path of a film that is ready, by its number; None where there is no such one."""
         with self._lock:
             ready = self._state.state == "ready" and self._state.number == number and self._home is not None
-            return self._home / self._state.name if ready and self._home else None
+            return self._home.path / self._state.name if ready and self._home else None
 
     def close(self) -> None:
         """Make no more films, and remove what there is."""
@@ -246,7 +263,9 @@ class Films:
     def _note(self, making: _Making, said: Said) -> None:
         with self._lock:
             if self._making is making and said.frames:
-                self._state = msgspec.structs.replace(self._state, frames=said.frames, done=said.done)
+                self._state = msgspec.structs.replace(
+                    self._state, frames=said.frames, done=said.done, resting=said.resting
+                )
                 if said.done and making.first is None:
                     making.first = time.monotonic(), said.done
         if said.frames:
@@ -260,12 +279,60 @@ class Films:
 
     def _discard(self) -> None:
         if self._home is not None:
-            shutil.rmtree(self._home, ignore_errors=True)
+            self._home.remove()
             self._home = None
 
 
+@dataclass(frozen=True)
+class _Home:
+    """The folder in which a film is made. The lock in it is ours as long as we live."""
+
+    path: Path
+    lock: int
+
+    @classmethod
+    def made(cls) -> "_Home":
+        """Make the folder, once those are removed that servers have left which were killed. Raise OSError."""
+        _sweep()
+        path = Path(tempfile.mkdtemp(prefix=_PREFIX))
+        lock = None
+        try:
+            lock = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            if lock is not None:
+                os.close(lock)
+            shutil.rmtree(path, ignore_errors=True)
+            raise
+        return cls(path, lock)
+
+    def remove(self) -> None:
+        """Remove the folder with all that is in it."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        os.close(self.lock)
+
+
+def _sweep() -> None:
+    """Remove the folders of films whose servers are dead, whose locks the kernel has let go of."""
+    for home in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+        with contextlib.suppress(OSError):  # in use, or another's
+            lock = os.open(home / _LOCK, os.O_RDWR | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if home.lstat().st_uid == os.getuid():
+                    shutil.rmtree(home)
+            finally:
+                os.close(lock)
+
+
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """End a process at once; what encodes for it ends with the frames that it is given."""
+    """End a process at once, and what encodes for it: that would go on to write where nothing is to be left."""
+    with contextlib.suppress(psutil.Error):
+        maker = psutil.Process(child.pid)
+        maker.suspend()  # so that it starts no other one
+        for encoder in maker.children(recursive=True):
+            with contextlib.suppress(psutil.Error):
+                encoder.kill()
     child.kill()
     child.wait()
 

@@ -34,13 +34,17 @@ from studio.show.evolution import build_evolution
 from studio.show.page import build_page
 from studio.sketch import sketch_of
 from studio.study.plan import StudyError
-from studio.study.report import results_at
+from studio.study.report import RUNS, results_at
 from studio.trainers import spawn_trainer
 from studio.viewer.take import Shot, make_take
 
 _POLL_SECONDS = 0.5
 _PICTURE_WIDTH = 480
 """Pixels: width of a still picture."""
+_HEIGHTS = 50, 10_000
+"""Smallest and largest height of a frame in pixels."""
+_SHOWN = 80
+"""Characters of a wrong value that are repeated to whoever gave it."""
 
 
 def train(
@@ -58,20 +62,33 @@ def train(
     How far it is shows below the cell. An interrupt stops it after its iteration, a second one ends it at once. Raise
     ValueError that says what is allowed, RuntimeError with the reason where the training failed.
     """
+    if not isinstance(settings, Mapping | None) or not _holds_words([*(settings or {})]):
+        raise ValueError(f'settings takes names and values, such as {{"alpha": 0.1}}, not {_shown_short(settings)}')
     wish = StartRun(
         task=task, iterations=iterations, method=method, preset=preset, seed=seed, settings=dict(settings or {})
     )
-    return Run(_trained(prepare_run(_folder_of_runs(runs), wish)))
+    folder = _folder_of_runs(runs)
+    try:
+        prepared = prepare_run(folder, wish)
+    except OSError as error:
+        raise ValueError(f"no run can be written to {folder}: {error.strerror or error}") from error
+    return Run(_trained(prepared))
 
 
 def open_run(run: str | Path, runs: str | Path | None = None) -> "Run":
-    """Return a run by its name in the folder `runs`, or by the path of its folder. UsageError lists the choices."""
-    return Run(find(_folder_of_runs(runs), str(run)))
+    """Return a run by its name in the folder `runs`, or by the path of its folder. ValueError lists the choices."""
+    where = _folder_of_runs(runs)
+    if runs is not None and not where.is_dir():
+        raise ValueError(f"{where} is no folder of runs")
+    return Run(find(where, str(_path_of("run", run))))
 
 
 def open_study(directory: str | Path) -> "StudyResults":
-    """Return what a study came to, from its folder or that of its report. StudyError says what is missing."""
-    return StudyResults(at_home(directory))
+    """Return what a study came to, from its folder or that of its report. ValueError says what is missing."""
+    study = StudyResults(_path_of("directory", directory))
+    if not any((study.directory / name).is_file() for name in ("study.json", RUNS)):
+        results_at(study.directory)  # says so
+    return study
 
 
 @dataclass(frozen=True)
@@ -80,13 +97,15 @@ class Run:
 
     history: History
 
-    def design(self, which: str = "best") -> "Design":
-        """Return the best evaluated design, the "latest" one, or that of an iteration ("0" is the initial one).
+    def design(self, which: str | int = "best") -> "Design":
+        """Return the best evaluated design, the "latest" one, or that of an iteration (0 is the initial one).
 
-        Raise RunFolderError that says what is allowed.
+        Raise ValueError that says what is allowed.
         """
+        if not isinstance(which, str | int) or isinstance(which, bool):
+            raise ValueError(f'which takes "best", "latest" or an iteration, not {_shown_short(which)}')
         self.history.poll()
-        return Design(self.history, *self.history.design(which))
+        return Design(self.history, *self.history.design(str(which)))
 
     def plot(self) -> Curves:
         """Return the curves of the run; ImportError names the extra where matplotlib is missing."""
@@ -97,10 +116,11 @@ class Run:
         """Return the whole evolution of the run, as `morph-studio replay --html` writes it, to be scrubbed and played.
 
         It has up to 5 MB, which the notebook holds: with `file`, a path below the notebook's folder, it holds that link
-        alone.
+        alone. Raise ValueError where it can't be written there, or for a height that is none.
         """
+        frame = _Frame.of(height, file)
         self.history.poll()
-        return _framed("The evolution of the run", build_evolution([self.history]).content, height, file)
+        return frame.around("The evolution of the run", build_evolution([self.history]).content)
 
     def _repr_html_(self) -> str:
         self.history.poll()
@@ -119,13 +139,14 @@ class Design:
         """Return the design live, as `morph-studio show` writes it; a still one where nothing of it can run live.
 
         A live page has 5 MB, which the notebook holds: with `file`, a path below the notebook's folder, it holds that
-        link alone.
+        link alone. Raise ValueError where it can't be written there, or for a height that is none.
         """
+        frame = _Frame.of(height, file)
         try:
             page = build_page(self.history, str(self.iteration))
         except ExportError as error:
             return View(f"<p>{escape(str(error))}. Its picture and its numbers are here.</p>{self._repr_html_()}")
-        return _framed("The design, live", page.content, height, file)
+        return frame.around("The design, live", page.content)
 
     @property
     def picture(self) -> "Picture":
@@ -137,10 +158,14 @@ class Design:
     def export(self, out: str | Path | None = None, formats: Sequence[str] | None = None) -> Path:
         """Write the design as `morph-studio export` does, to a zip or a folder, and return its path.
 
-        Raise ExportError with what disagrees, or with what is allowed.
+        Raise ValueError with what disagrees, or with what is allowed.
         """
+        if formats is not None and (isinstance(formats, str) or not _holds_words(formats)):
+            raise ValueError(f'formats takes a list of names, such as ["mjcf", "stl"], not {_shown_short(formats)}')
         which = str(self.iteration)
-        path = at_home(out) if out is not None else self.history.folder.exports / bundle_name(self.history, which)
+        path = (
+            _path_of("out", out) if out is not None else self.history.folder.exports / bundle_name(self.history, which)
+        )
         return write_bundle(build_bundle(self.history, which, formats), path)
 
     def _repr_html_(self) -> str:
@@ -212,16 +237,67 @@ class StudyResults:
 
 
 def _folder_of_runs(runs: str | Path | None) -> Path:
-    return default_runs() if runs is None else at_home(runs)
+    return default_runs() if runs is None else _path_of("runs", runs)
 
 
-def _framed(title: str, page: bytes, height: int, file: str | Path | None) -> View:
-    """Return a page of ours in an iframe, whose scripts can reach nothing of the notebook's."""
-    source = f'srcdoc="{escape(page.decode())}"' if file is None else f'src="{escape(Path(file).as_posix())}"'
-    if file is not None:
-        write_file(where_written(at_home(file)), page)
-    look = f"width:100%;height:{height}px;border:1px solid #8a929c"
-    return View(f'<iframe title="{title}" sandbox="allow-scripts" style="{look}" {source}></iframe>')
+def _path_of(name: str, given: object) -> Path:
+    """Return the path that was given for an argument. ValueError where it is none."""
+    if not isinstance(given, str | Path) or "\0" in str(given) or not str(given):
+        raise ValueError(f"{name} takes the path of a file or a folder, not {_shown_short(given)}")
+    try:
+        return at_home(given)
+    except OSError as error:
+        raise ValueError(f"{name}: {error.strerror}") from error
+
+
+def _holds_words(given: object) -> bool:
+    return isinstance(given, Sequence) and all(isinstance(word, str) for word in given)
+
+
+def _shown_short(given: object) -> str:
+    """Return a value as it is written in code, or as much of it as a sentence bears."""
+    written = repr(given)
+    return written if len(written) <= _SHOWN else f"{written[:_SHOWN]}…"
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """An iframe for a page of ours, and the file that it loads the page from, if any."""
+
+    height: int
+    file: Path | None
+
+    @classmethod
+    def of(cls, height: object, file: object) -> "_Frame":
+        """Check what was asked for before a page is made. ValueError says what is allowed."""
+        low, high = _HEIGHTS
+        if not isinstance(height, int) or isinstance(height, bool) or not low <= height <= high:
+            raise ValueError(f"height takes a whole number of pixels from {low} to {high}, not {_shown_short(height)}")
+        return cls(height, None if file is None else _below(_path_of("file", file)))
+
+    def around(self, title: str, page: bytes) -> View:
+        """Return the page in the iframe, where its scripts can reach nothing of the notebook's. ValueError where the
+        disk does not take the file."""
+        source = f'srcdoc="{escape(page.decode())}"'
+        if self.file is not None:
+            try:
+                write_file(where_written(self.file), page)
+            except OSError as error:
+                raise ValueError(f"{self.file} can't be written: {error.strerror or error}") from error
+            source = f'src="{escape(self.file.as_posix())}"'
+        look = f"width:100%;height:{self.height}px;border:1px solid #8a929c"
+        return View(f'<iframe title="{title}" sandbox="allow-scripts" style="{look}" {source}></iframe>')
+
+
+def _below(file: Path) -> Path:
+    """Return the path of a page as seen from the notebook's folder. ValueError unless it can lie there."""
+    here = Path.cwd()
+    target = (here / file).parent.resolve() / file.name
+    if not target.is_relative_to(here.resolve()):
+        raise ValueError(f"file lies outside {here}, from where a notebook's page can't load it: give a name below it")
+    if target.suffix.lower() not in (".html", ".htm") or target.is_dir() or not target.parent.is_dir():
+        raise ValueError(f'file takes a name that ends in .html, in a folder that is there, not "{file}"')
+    return target.relative_to(here.resolve())
 
 
 # --- a training below its cell ----------------------------------------------------------------------------------------

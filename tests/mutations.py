@@ -948,11 +948,16 @@ MUTANTS: tuple[Mutant, ...] = (
         "studio/filming.py", "studio/test_filming.py",
         ("if self._making is not None:\n                raise", "if False:\n                raise"),
         ("_end(self._making.child)", "pass"),
+        ("encoder.kill()", "pass"),
+        ("self._closed = False\n        _sweep()", "self._closed = False"),
+        ("fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)\n                if", "if"),
         ("self._state.number == number and", ""),
     ),
     *_of(
         "studio/film/__main__.py", "studio/test_filming.py",
         ("os.nice(19)", "os.nice(0)"),
+        ('write_text("19"', 'write_text("0"'),
+        ("time.sleep(_REST * worked)", "pass"),
         ("if reel.frames > MOST_FRAMES", "if False"),
     ),
     *_of(

@@ -76,10 +76,16 @@ class Pages:
         self._stages = self._make_stages()
         self._seen: list[tuple[Take, int, Image.Image] | None] = [None] * len(script.stories)
         self._axes = self._make_axes()
+        self._newest: tuple[Moment, Image.Image] | None = None
 
     def frame(self, number: int) -> Image.Image:
         """Return a frame, which is counted from 0."""
         moment = self._script.at(number)
+        if self._newest is None or self._newest[0] != moment:
+            self._newest = moment, self._drawn(moment)
+        return self._newest[1]
+
+    def _drawn(self, moment: Moment) -> Image.Image:
         sheet = Sheet(self._film.width, self._film.height)
         takes = []
         for side, pane in enumerate(self._panes):

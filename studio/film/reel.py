@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 
 from morph_core.durable import where_written, write_file
-from studio.film.errors import FilmError
+from studio.film.errors import DiskFullError, FilmError
 from studio.film.page import Pages
 from studio.film.plan import Film, Script
 from studio.film.sheet import NEEDS_EXTRA, find_font
@@ -108,7 +108,7 @@ class Reel:
         film, free = self.film, shutil.disk_usage(self.out.parent).free
         needed = film.width * film.height * self.frames * _EXPECTED[self.out.suffix.lower()]
         if free < needed:
-            raise FilmError(
+            raise DiskFullError(
                 f"the film may take {needed / 1e6:,.0f} MB with its parts, and {free / 1e6:,.0f} MB are free in "
                 f"{self.out.parent}; make room, or give a smaller --size or fewer --seconds"
             )
@@ -200,9 +200,10 @@ class Reel:
             f"{film.width}x{film.height}", "-r", str(film.fps), "-i", "-", *how, "-g", str(film.fps), *_SAME,
             _address(path),
         ]  # fmt: skip
-        # In a session of its own: Ctrl-C is ours to obey, and ffmpeg ends when its frames do.
+        # In a group of its own: Ctrl-C is ours to obey, and ffmpeg ends when its frames do. In our session: one of its
+        # own would have as much of the processor as any other one, however nice we are.
         process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, process_group=0
         )
         assert process.stdin is not None
         try:
@@ -214,7 +215,7 @@ class Reel:
             process.wait()
             raise
         if process.returncode:
-            raise FilmError(self._why(said))
+            raise self._why(said)
 
     # --- putting together ---------------------------------------------------------------------------------------------
 
@@ -244,18 +245,18 @@ class Reel:
         command = [self.ffmpeg, "-v", "error", "-y", *arguments]
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False, cwd=self.folder)
         if done.returncode:
-            raise FilmError(self._why(done.stderr))
+            raise self._why(done.stderr)
 
-    def _why(self, said: bytes) -> str:
+    def _why(self, said: bytes) -> FilmError:
         """Return in a sentence why ffmpeg has failed."""
         words = said.decode(errors="replace").strip()
         if "No space left" in words:
-            return (
+            return DiskFullError(
                 f"the disk of {self.out.parent} is full; what is rendered stays in {self.folder}, and the same command "
                 "goes on from there"
             )
         last = words.splitlines()[-1] if words else "it gave no reason"
-        return f"ffmpeg can't encode the film: {last[:300]}; what still works: a still (--still FILE.svg)"
+        return FilmError(f"ffmpeg can't encode the film: {last[:300]}; what still works: a still (--still FILE.svg)")
 
 
 def _address(path: Path) -> str:

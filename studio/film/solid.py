@@ -88,8 +88,7 @@ def rounded(corners: np.ndarray) -> Surface:
     corners, across, length = corners[kept], across[kept], length[kept]
     flat = across / length[:, None]
     step = 1e-6 * max(float(np.ptp(corners)), 1e-9) if len(corners) else 1.0
-    _, vertex = np.unique(np.round(corners.reshape(-1, 3) / step).astype(np.int64), axis=0, return_inverse=True)
-    one, other = _pairs(vertex.reshape(-1))
+    one, other = _pairs(_vertices(np.round(corners.reshape(-1, 3) / step).astype(np.int64)))
     alike = (flat[one // 3] * flat[other // 3]).sum(1) >= _CREASE
     one, other = one[alike], other[alike]
     weights = _angles(corners).reshape(-1)[other]
@@ -98,6 +97,15 @@ def rounded(corners: np.ndarray) -> Surface:
         normals[:, axis] = np.bincount(one, weights * flat[other // 3, axis], len(normals))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return corners, normals.reshape(-1, 3, 3)
+
+
+def _vertices(places: np.ndarray) -> np.ndarray:
+    """Return for each of some places (n, 3), in whole numbers up to a few millions, which distinct one it is."""
+    if not len(places):
+        return np.zeros(0, int)
+    x, y, z = (places - places.min(0)).T
+    one = (x * (y.max() + 1) + y) * (z.max() + 1) + z  # sorting numbers is faster than sorting rows
+    return np.unique(one, return_inverse=True)[1]
 
 
 def _angles(corners: np.ndarray) -> np.ndarray:

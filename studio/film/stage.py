@@ -196,11 +196,14 @@ class Stage:
         radius = self._soft * FINE / _COARSE
         soft = Image.fromarray(mask.reshape(rows, columns)).filter(ImageFilter.GaussianBlur(radius))
         spread = np.asarray(soft.resize((columns * _COARSE, rows * _COARSE), Image.Resampling.BILINEAR))
-        dark = np.where(canvas.ground, spread[:height, :width], 0).astype(np.float32) * (_SHADOW / 255)
-        clear = np.isneginf(canvas.nearness)
-        shade = (canvas.pixels[..., :3] * (1 - dark[..., None])).astype(np.uint8)
-        canvas.pixels[..., :3] = np.where(clear[..., None], 0, shade)
-        canvas.pixels[..., 3] = np.where(clear, np.maximum(canvas.pixels[..., 3], 255 * dark), canvas.pixels[..., 3])
+        at = np.flatnonzero(canvas.ground & (spread[:height, :width] > 0))  # few of all pixels
+        dark = spread[:height, :width].ravel()[at].astype(np.float32) * (_SHADOW / 255)
+        clear = np.isneginf(canvas.nearness.reshape(-1)[at])
+        pixels = canvas.pixels.reshape(-1, 4)
+        under = pixels[at]
+        under[:, :3] = under[:, :3] * (1 - dark[:, None])
+        under[:, 3] = np.where(clear, np.maximum(under[:, 3], 255 * dark), under[:, 3])
+        pixels[at] = under
 
     def _balls(self, take: Take, frame: int) -> list[tuple[np.ndarray, float]]:
         """Return middle (3,) and radius, in pixels, of the balls that mark the contacts of a frame."""

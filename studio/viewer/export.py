@@ -46,7 +46,8 @@ class ExportPanel:
     """`on_export("best", "latest" or an iteration's number, formats, servo, printer)` builds and checks a bundle; servo
     and printer are None where nothing was asked for.
 
-    `on_import(content, client)` is handed the bytes of a design.json or of a bundle.
+    `on_import(content, client)` is handed the bytes of a design.json or of a bundle. Other ways to use the chosen
+    design have their tabs in `ways`.
     """
 
     def __init__(
@@ -67,25 +68,27 @@ class ExportPanel:
         self.iteration = gui.add_number(
             "iteration", 0, min=0, max=LAST_ITERATION, step=1, visible=False, hint="0 is the initial design"
         )
-        self.servo = gui.add_dropdown(
-            "servo", (BY_NEED, *SERVOS), initial_value=BY_NEED, visible=False,
-            hint="The real servo with which report.html compares what the policy needs: measured in 256 episodes; "
-            "by need: the cheapest that suffices",
-        )  # fmt: skip
-        self.formats_folder = gui.add_folder("Formats", expand_by_default=False)
-        with self.formats_folder:
-            self.formats = {
-                name: gui.add_checkbox(name, name not in OPTIONAL_FORMATS, hint=HINTS[name]) for name in ALL_FORMATS
-            }
-            self.printer = gui.add_text("printer", DEFAULT.name, hint=f"For 3mf: {PRINTERS}")
-        self.check = gui.add_button("Check and prepare", icon=viser.Icon.CHECKLIST, color="blue")
-        self.notice = gui.add_html("", visible=False)
-        self.download = gui.add_button("Download", icon=viser.Icon.DOWNLOAD, color="green", visible=False)
-        self.result = gui.add_html("", visible=False)
-        self.bring = gui.add_upload_button(
-            "Go on from a design…", icon=viser.Icon.UPLOAD, mime_type=DESIGN_TYPES,
-            hint="A design.json, or an exported zip: the run goes on from it",
-        )  # fmt: skip
+        self.ways = gui.add_tab_group()
+        with self.ways.add_tab("Files", viser.Icon.FILES):
+            self.servo = gui.add_dropdown(
+                "servo", (BY_NEED, *SERVOS), initial_value=BY_NEED, visible=False,
+                hint="The real servo with which report.html compares what the policy needs: measured in 256 episodes; "
+                "by need: the cheapest that suffices",
+            )  # fmt: skip
+            self.formats_folder = gui.add_folder("Formats", expand_by_default=False)
+            with self.formats_folder:
+                self.formats = {
+                    name: gui.add_checkbox(name, name not in OPTIONAL_FORMATS, hint=HINTS[name]) for name in ALL_FORMATS
+                }
+                self.printer = gui.add_text("printer", DEFAULT.name, hint=f"For 3mf: {PRINTERS}")
+            self.check = gui.add_button("Check and prepare", icon=viser.Icon.CHECKLIST, color="blue")
+            self.notice = gui.add_html("", visible=False)
+            self.download = gui.add_button("Download", icon=viser.Icon.DOWNLOAD, color="green", visible=False)
+            self.result = gui.add_html("", visible=False)
+            self.bring = gui.add_upload_button(
+                "Go on from a design…", icon=viser.Icon.UPLOAD, mime_type=DESIGN_TYPES,
+                hint="A design.json, or an exported zip: the run goes on from it",
+            )  # fmt: skip
         self.design.on_update(lambda _: self._choose())
         self.iteration.on_update(lambda _: self._choose())
         self.servo.on_update(lambda _: self._choose())
@@ -213,6 +216,6 @@ class ExportPanel:
         self.iteration.visible = self.design.visible and self.design.value == "iteration"
 
     def _show(self, visible: bool) -> None:
-        self.design.visible = self.check.visible = self.formats_folder.visible = self.bring.visible = visible
+        self.design.visible = self.ways.visible = visible
         self.servo.visible = visible and self._takes_servos
         self.iteration.visible = visible and self.design.value == "iteration"

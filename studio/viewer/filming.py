@@ -40,15 +40,16 @@ class Makes(Protocol):
 class FilmPanel:
     """Form for a film or a still of the run on screen. What is made is the same for all browsers, and shown to all."""
 
-    def __init__(self, gui: viser.GuiApi, films: Makes, *, which: Callable[[], str]) -> None:
-        """Make the form; `which` returns the design that is chosen for an export, of which an episode or a still is
-        made."""
+    def __init__(
+        self, gui: viser.GuiApi, ways: viser.GuiTabGroupHandle, films: Makes, *, which: Callable[[], str]
+    ) -> None:
+        """Make the form in a tab of `ways`; `which` returns the design that is chosen for an export, of which an
+        episode or a still is made."""
         self._films = films
         self._which = which
         self._run: str | None = None
         self._shown = FilmState()
-        self.folder = gui.add_folder("Film or still", expand_by_default=False)
-        with self.folder:
+        with ways.add_tab("Film or still", viser.Icon.MOVIE):
             self.bar = gui.add_progress_bar(0.0, visible=False)
             self.note = gui.add_html("", visible=False)
             self.cancel = gui.add_button("Cancel", icon=viser.Icon.X, color="gray", visible=False)
@@ -72,12 +73,10 @@ class FilmPanel:
     def clear(self) -> None:
         """Show no run; what is being made goes on."""
         self._run = None
-        self.folder.visible = False
 
     def update(self, history: History) -> None:
         """Offer films of a run, and show how far the one is that is being made."""
         self._run = history.folder.id
-        self.folder.visible = True
         self._show(self._films.state)
 
     def wish(self) -> FilmWish:
@@ -172,4 +171,5 @@ def _words(state: FilmState) -> str:
         return f"{name}<br>{wording.dim('is being drawn')}"
     left = "" if state.seconds_left is None else f", about {wording.duration(state.seconds_left)} left"
     far = f"{state.done} of {state.frames} frames{left}" if state.frames else "being prepared…"
-    return f"{name}<br>{wording.dim(far)}"
+    slowly = "; slowly, as the processors are busy" if state.resting else ""
+    return f"{name}<br>{wording.dim(far + slowly)}"

@@ -103,7 +103,7 @@ class Viewer:
             self.log = LogPanel(gui, on_open=self.select, family=family)
         with self.tabs.add_tab("Export", viser.Icon.DOWNLOAD):
             self.export = ExportPanel(gui, on_export=self.wishes.export, on_import=self.wishes.go_on_from)
-            self.film = FilmPanel(gui, films, which=self.export.which)
+            self.film = FilmPanel(gui, self.export.ways, films, which=self.export.which)
         left = gui.add_panel()
         left.dock_left()
         left.set_width(390)

@@ -1,7 +1,9 @@
 """Films and stills: what their frames show and say, that an interruption loses little, and what is refused."""
 
+import contextlib
 import dataclasses
 import io
+import os
 import re
 import sys
 from pathlib import Path
@@ -10,6 +12,7 @@ from types import SimpleNamespace
 import imageio_ffmpeg
 import msgspec
 import numpy as np
+import psutil
 import pytest
 from conftest import append, make_hand_run, make_run, progress
 from hypothesis import given, settings
@@ -23,7 +26,7 @@ from morph_core.protocol import Evaluation, Recorded
 from morph_core.run_folder import RunFolder, write_episode
 from studio.cli import run
 from studio.film import reel as reel_module
-from studio.film.errors import FilmError
+from studio.film.errors import DiskFullError, FilmError
 from studio.film.lens import Lens
 from studio.film.page import Pages
 from studio.film.plan import LONGEST, Script, Story, plan_episode, plan_evolution
@@ -238,6 +241,26 @@ def test_a_scene_stands_on_clear_ground_and_what_is_nearer_hides_the_rest(script
     assert edges.any()  # several samples for each pixel
 
 
+def test_the_pale_design_keeps_its_colours_beside_the_one_that_moves(script: Script) -> None:
+    take = script.stories[0].episode
+    assert take is not None
+    lens = Lens.framing(take.robot.corners([0]), np.array([0.0, 0.0, 1.0]), (20, 20, 140, 100), perspective=False)
+    stage = Stage(lens, 160, 120, ghost=take.robot.moved(np.array([0.3, 0.3, 0.0])), contacts=False)
+    image = np.asarray(stage.picture(take, 0)).astype(int)
+    pale = (image[..., 3] > 90) & (image[..., 3] < 100)  # neither in front, nor at an edge
+    assert pale.sum() > 30
+    assert np.ptp(image[pale][:, :3], axis=1).min() > 10  # grey is what a shadow is
+
+
+def test_what_encodes_obeys_no_terminal_and_is_as_nice_as_we_are(reached: RunFolder, tmp_path: Path) -> None:
+    reel = Reel.of(plan_episode([(History(reached), "best")], None, SMALL, 5), tmp_path / "film.mp4")
+    known = {child.pid for child in psutil.Process().children()}
+    with contextlib.suppress(FilmError), reel._encoder(tmp_path / "none"):
+        (encoder,) = {child.pid for child in psutil.Process().children()} - known
+        assert os.getsid(encoder) == os.getsid(0)  # the system divides the processor among sessions
+        assert os.getpgid(encoder) != os.getpgrp()
+
+
 def test_frames_have_the_size_of_the_film_and_change_with_the_design(script: Script) -> None:
     pages = Pages(script)
     frames = [script.frames * share // 100 for share in (0, 55, 55)]
@@ -344,8 +367,10 @@ def test_a_full_disk_and_a_missing_ffmpeg_are_told_with_what_still_works(
 
 def test_what_ffmpeg_says_of_a_full_disk_becomes_a_sentence(reached: RunFolder, tmp_path: Path) -> None:
     made = Reel.of(plan_episode([(History(reached), "best")], None, SMALL, 5), tmp_path / "film.mp4")
-    assert "the same command goes on from there" in made._why(b"av_interleaved_write_frame(): No space left on device")
-    assert "ffmpeg can't encode the film: Unknown encoder" in made._why(b"first\nUnknown encoder 'libx264'")
+    full = made._why(b"av_interleaved_write_frame(): No space left on device")
+    assert isinstance(full, DiskFullError)
+    assert "the same command goes on from there" in str(full)
+    assert "ffmpeg can't encode the film: Unknown encoder" in str(made._why(b"first\nUnknown encoder 'libx264'"))
 
 
 # --- stills -----------------------------------------------------------------------------------------------------------

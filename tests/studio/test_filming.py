@@ -1,26 +1,34 @@
 """Films made in the background: one at a time, how far they are, how they end, and what is refused."""
 
 import contextlib
+import errno
 import os
 import subprocess
 import sys
+import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
+import psutil
 import pytest
 from conftest import NAME, Cutter, Page, Served, eventually, make_run
 
 from morph_core.history import History
 from morph_core.run_folder import RunFolderError
 from studio.film import __main__ as process
-from studio.film.errors import FilmError
+from studio.film.errors import DiskFullError, FilmError
 from studio.filming import CPU_SECONDS, Films, FilmState, FilmWish, Order
 from studio.viewer.filming import FilmPanel
 
 ACTS = {
     "whole": "say(frames=4); say(frames=4, done=2); out.write_bytes(b'film'); say(frames=4, done=4)",
     "long": "say(frames=4, done=1); time.sleep(60)",
+    "dumb": "time.sleep(60)",
+    "encoding": "subprocess.Popen(['sleep', '60'], start_new_session=True); say(frames=4, done=1); time.sleep(60)",
+    "slow": "say(frames=4, done=1, resting=True); time.sleep(60)",
     "refused": "say(failed='no such episode, says the test'); sys.exit(1)",
     "dying": "say(frames=4); raise FloatingPointError('NaN, says the test')",
     "killed": "say(frames=4); os.kill(os.getpid(), 9)",
@@ -47,7 +55,7 @@ class Theatre:
     def spawn(self, order: Order, log: Path) -> subprocess.Popen[bytes]:
         self.orders.append(order)
         code = (
-            "import json, os, pathlib, signal, sys, time\nout = pathlib.Path(sys.argv[1])\n"
+            "import json, os, pathlib, signal, subprocess, sys, time\nout = pathlib.Path(sys.argv[1])\n"
             f"def say(**said): print(json.dumps(said), flush=True)\n{ACTS[self.act]}"
         )
         with log.open("wb") as errors:
@@ -96,6 +104,63 @@ def test_it_is_one_at_a_time_and_is_given_up_at_once(theatre: Theatre) -> None:
     theatre.act = "whole"
     assert theatre.films.start(FilmWish(run=NAME)).number == 2
     theatre.comes_to("ready")
+
+
+@pytest.mark.parametrize("act", ["dumb", "encoding"])
+def test_what_is_given_up_ends_with_all_that_works_for_it(theatre: Theatre, act: str) -> None:
+    theatre.act = act
+    waiting = threading.Thread(target=theatre.films.start, args=[FilmWish(run=NAME)])
+    waiting.start()
+    assert eventually(lambda: theatre.films.state.done == (act == "encoding") and theatre.films.state.number == 1)
+    helpers = psutil.Process(theatre.children[0].pid).children()
+    assert len(helpers) == (act == "encoding")
+    assert theatre.films.cancel().state == "cancelled"
+    waiting.join(10)
+    assert not waiting.is_alive()
+    assert eventually(lambda: not any(helper.is_running() and helper.status() != "zombie" for helper in helpers))
+
+
+def test_what_a_killed_server_has_left_is_removed_and_what_another_one_makes_stays(
+    theatre: Theatre, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    theatre.act = "long"
+    theatre.films.start(FilmWish(run=NAME))
+    (at_work,) = tmp_path.glob("morph-film-*")
+    left, strange = tmp_path / "morph-film-left", tmp_path / "morph-film-strange"
+    for folder in (left, strange):
+        folder.mkdir()
+    (left / "lock").touch()
+    (left / "film.mp4").touch()
+    Films(theatre.find)
+    assert set(tmp_path.glob("morph-film-*")) == {at_work, strange}
+
+
+def test_a_film_that_has_no_place_is_refused_and_the_next_one_is_made(
+    theatre: Theatre, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    theatre.films.start(FilmWish(run=NAME))
+    theatre.comes_to("ready")
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device, says the test")
+
+    with monkeypatch.context() as within:
+        within.setattr(theatre.films, "_spawn", full)
+        with pytest.raises(ValueError, match=f"no film can be made in {tmp_path}: No space left"):
+            theatre.films.start(FilmWish(run=NAME))
+    assert theatre.films.state == FilmState(number=1)
+    assert not list(tmp_path.glob("morph-film-*"))
+    theatre.films.start(FilmWish(run=NAME))
+    theatre.comes_to("ready")
+
+
+def test_it_is_said_that_a_film_rests_as_long_as_it_is_made(theatre: Theatre) -> None:
+    theatre.act = "slow"
+    theatre.films.start(FilmWish(run=NAME))
+    assert eventually(lambda: theatre.films.state.resting)
+    assert not theatre.films.cancel().resting
 
 
 @pytest.mark.parametrize(
@@ -176,6 +241,43 @@ def test_the_process_gives_way_to_all_others_and_ends_in_time(
     assert b"has no iteration 7" in capfdbinary.readouterr().out
 
 
+def test_a_film_rests_beside_work_that_keeps_the_processors_busy(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, worked, others, slept = [0.0], [0.0], [0.0], []
+    monkeypatch.setattr(process.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(process.time, "process_time", lambda: worked[0])
+    monkeypatch.setattr(process.time, "sleep", slept.append)
+    monkeypatch.setattr(process.psutil, "cpu_count", lambda: 4)
+    monkeypatch.setattr(process.psutil, "cpu_times", lambda: SimpleNamespace(user=others[0]))
+    rests = process.Rests()
+    for taken, busy in ((0.9, False), (1.1, True), (4.0, True), (0.0, False)):
+        clock[0], worked[0], others[0] = clock[0] + 1, worked[0] + 0.5, others[0] + taken
+        assert rests.take() is busy
+    assert slept == [2.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (DiskFullError("the same command goes on"), "has no room for it: make room, or wish for a smaller"),
+        (OSError(errno.EROFS, "Read-only file system"), "the disk does not take it: Read-only file system"),
+    ],
+)
+def test_what_the_disk_refuses_is_said_for_the_studio(
+    error: Exception, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capfdbinary: pytest.CaptureFixture[bytes],
+) -> None:  # fmt: skip
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(process, "give_way", lambda: None)
+    monkeypatch.setattr(process, "make", fail)
+    order = Order(FilmWish(run=NAME), [str(make_run(tmp_path).path)], str(tmp_path / "home" / "film.mp4"))
+    assert process.main([msgspec.json.encode(order).decode()]) == 1
+    said = capfdbinary.readouterr().out.decode()
+    assert sentence in said
+    assert "command" not in said
+
+
 def test_a_wish_is_planned_as_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     history = History(make_run(tmp_path))
     film = process.film_of(FilmWish(run=NAME, seconds=2), [history])
@@ -188,6 +290,13 @@ def test_a_wish_is_planned_as_on_the_command_line(tmp_path: Path, monkeypatch: p
         360,
         [3, 3],
     )
+    idle, autogroup = [], tmp_path / "autogroup"
+    monkeypatch.setattr(os, "sched_setscheduler", lambda _, policy, __: idle.append(policy))
+    monkeypatch.setattr(process, "_AUTOGROUP", autogroup)
+    monkeypatch.setattr(process.Reel, "render", lambda *_: None)
+    monkeypatch.setattr(process.Reel, "join", process.Reel.clear)
+    process.make(FilmWish(run=NAME), [history], tmp_path / "film.mp4")
+    assert (idle, autogroup.read_text()) == ([os.SCHED_IDLE], "19")
     monkeypatch.setattr(process, "MOST_FRAMES", 10)
     with pytest.raises(FilmError, match="in the studio 10 are the most; morph-studio replay --video makes longer ones"):
         process.make(FilmWish(run=NAME), [history], tmp_path / "film.mp4")
@@ -203,8 +312,9 @@ def form_of(page: Page) -> tuple[FilmPanel, Cutter]:
 
 def test_the_panel_wishes_for_what_it_says(page: Page, tmp_path: Path) -> None:
     panel, films = form_of(page)
-    assert not panel.folder.visible
+    assert not page.viewer.export.ways.visible
     page.show(make_run(tmp_path))
+    assert page.viewer.export.ways.visible
     panel.submit()
     page.viewer.export.design.value = "iteration"
     page.viewer.export.iteration.value = 3

@@ -1,5 +1,7 @@
 """What a notebook shows of runs, designs and studies, and that nothing written in a run folder becomes HTML there."""
 
+import errno
+import os
 import re
 import signal
 import subprocess
@@ -273,6 +275,84 @@ def test_a_wish_that_is_not_allowed_is_refused_before_anything_is_written(tmp_pa
     with pytest.raises(ValueError, match="iterations"):
         train("reacher", runs=tmp_path, iterations=0)
     assert not list(tmp_path.iterdir())
+
+
+# --- what is asked wrongly --------------------------------------------------------------------------------------------
+
+WRONG: dict[str, tuple[Callable[[Run], object], str]] = {
+    "a height of nothing": (lambda run: run.view(height=0), "height takes a whole number of pixels from 50 to 10000"),
+    "a height in words": (lambda run: run.design().view(height='1px" onload="x'), "height takes a whole number"),  # pyright: ignore[reportArgumentType]
+    "a height that is true": (lambda run: run.view(height=True), "height takes a whole number"),
+    "a file outside": (lambda run: run.view(file="../x.html"), "file lies outside"),
+    "a file at the root": (lambda run: run.design().view(file="/x.html"), "file lies outside"),
+    "a file in no folder": (lambda run: run.view(file="none/x.html"), "in a folder that is there"),
+    "a file that is no page": (lambda run: run.view(file="run.py"), "ends in .html"),
+    "a file without a name": (lambda run: run.view(file=""), "file takes the path of"),
+    "a file with a NUL": (lambda run: run.view(file="a\0.html"), "file takes the path of"),
+    "a number as file": (lambda run: run.view(file=5), "file takes the path of a file or a folder, not 5"),  # pyright: ignore[reportArgumentType]
+    "a design that is none": (lambda run: run.design("77"), "has no iteration 77"),
+    "an iteration that is none": (lambda run: run.design(77), "has no iteration 77"),
+    "a design before all": (lambda run: run.design(-1), 'no design "-1"'),
+    "no design": (lambda run: run.design(None), "which takes"),  # pyright: ignore[reportArgumentType]
+    "a true design": (lambda run: run.design(True), "which takes"),
+    "a format alone": (lambda run: run.design().export("x.zip", "mjcf"), "formats takes a list of names"),
+    "numbers as formats": (lambda run: run.design().export("x.zip", [5]), "formats takes a list of names"),  # pyright: ignore[reportArgumentType]
+    "a number as place": (lambda run: run.design().export(5), "out takes the path of"),  # pyright: ignore[reportArgumentType]
+    "no run": (lambda _: open_run(None), "run takes the path of"),  # pyright: ignore[reportArgumentType]
+    "a home of nobody": (lambda _: open_run("~nobody-of-that-name/run"), "there is no such home"),
+    "runs that are no folder": (lambda _: open_run("x", "none"), "none is no folder of runs"),
+    "a number as runs": (lambda _: train("reacher", runs=5), "runs takes the path of"),  # pyright: ignore[reportArgumentType]
+    "a study that is none": (lambda _: open_study("."), "holds no study"),
+    "a number as study": (lambda _: open_study(5), "directory takes the path of"),  # pyright: ignore[reportArgumentType]
+    "an unknown task": (lambda _: train("walker", runs="runs"), 'unknown task "walker"'),
+    "a number as task": (lambda _: train(5, runs="runs"), 'unknown task "5"'),  # pyright: ignore[reportArgumentType]
+    "an unknown method": (lambda _: train("reacher", method="best", runs="runs"), "unknown method"),
+    "an unknown preset": (lambda _: train("reacher", preset="best", runs="runs"), "preset"),
+    "an unknown setting": (lambda _: train("reacher", settings={"speed": 1}, runs="runs"), "speed"),
+    "a setting without a name": (lambda _: train("reacher", settings={5: 1}, runs="runs"), "settings takes"),  # pyright: ignore[reportArgumentType]
+    "settings in words": (lambda _: train("reacher", settings="fast", runs="runs"), "settings takes names and values"),  # pyright: ignore[reportArgumentType]
+    "a setting that is no number": (lambda _: train("reacher", settings={"alpha": "x"}, runs="runs"), "alpha"),
+    "iterations in words": (lambda _: train("reacher", iterations="5", runs="runs"), "iterations must be"),  # pyright: ignore[reportArgumentType]
+    "half a seed": (lambda _: train("reacher", seed=0.5, runs="runs"), "seed must be"),  # pyright: ignore[reportArgumentType]
+    "runs in a file": (lambda run: train("reacher", runs=run.history.folder.path / "run.json"), "no run can be"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("asked", WRONG)
+def test_what_is_asked_wrongly_is_refused_in_a_sentence_and_leaves_nothing(
+    reacher: Run, asked: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object) -> None:
+        pytest.fail("it is made all the same")
+
+    for name in ("build_page", "build_evolution", "build_bundle", "spawn_trainer"):
+        monkeypatch.setattr(notebook, name, never)
+    here = tmp_path / "notebooks"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    before = set(tmp_path.rglob("*"))
+    ask, sentence = WRONG[asked]
+    with pytest.raises(ValueError, match=re.escape(sentence)):
+        ask(reacher)
+    assert set(tmp_path.rglob("*")) == before
+
+
+def test_a_page_that_the_disk_does_not_take_is_said_and_leaves_nothing(
+    reacher: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(notebook, "build_evolution", lambda _: Page(PAGE.encode(), ""))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.html").write_text("an earlier one")
+    before = set(tmp_path.rglob("*"))
+    with monkeypatch.context() as within:
+        within.setattr(os, "fsync", full)
+        with pytest.raises(ValueError, match=r"x\.html can't be written: No space left on device"):
+            reacher.view(file="x.html")
+    assert set(tmp_path.rglob("*")) == before
+    assert (tmp_path / "x.html").read_text() == "an earlier one"
 
 
 # --- the example ------------------------------------------------------------------------------------------------------
