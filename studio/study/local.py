@@ -39,7 +39,7 @@ CANCELLED = "cancelled"
 SLOTS = ".slots"
 """Folder of a study whose files are locked by the trainers that take up a slot."""
 NICENESS = 5
-"""What is added to the niceness of trainers, so that a machine full of them can still be used."""
+"""Number that is added to the niceness of trainers, so that a machine full of them can still be used."""
 
 
 class Process(msgspec.Struct, frozen=True):
