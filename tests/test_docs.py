@@ -1,5 +1,6 @@
 """What README, docs/use.md and CONTRIBUTING say is so: their commands, their files and the ten lines of Python."""
 
+import itertools
 import re
 import shlex
 import signal
@@ -63,6 +64,23 @@ def test_every_command_that_is_shown_exists_with_its_options(command: str, capsy
     shown = capsys.readouterr().out
     for option in (word for word in words if word.startswith("--")):
         assert option in shown
+    assert "None" not in shown  # a flag that may be left out
+    assert _broken_off(shown) == []
+
+
+def _broken_off(shown: str) -> list[str]:
+    """Return the lines of a help that end where the first word of the next line, of the same flag, would fit."""
+    broken, lines = [], re.findall(r"^│ (.*) │$", shown, re.MULTILINE)
+    for line, below in itertools.pairwise(lines):
+        same_flag = line.strip() and re.match(r" {8}", below) and not re.search(r" {2}|^\W", line.strip())
+        if same_flag and len(line.rstrip()) + 1 + len(below.split()[0] if below.split() else "") <= len(line):
+            broken.append(line)
+    return broken
+
+
+def test_a_line_of_a_help_that_is_broken_off_is_found() -> None:
+    lines = ["--one N   Number of things,", "          which is a whole", "          number that is large, enough."]
+    assert _broken_off("".join(f"│ {line:40} │\n" for line in lines)) == [f"{lines[1]:40}"]
 
 
 def test_the_readme_stays_one_screen() -> None:
