@@ -120,21 +120,14 @@ def test_every_folder_that_the_docs_name_exists(folder: str) -> None:
     assert (ROOT / folder).is_dir()
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        "README.md",
-        "CONTRIBUTING.md",
-        "CHANGELOG.md",
-        "docs/cluster.md",
-        "docs/comparison.md",
-        "docs/hands.md",
-        "docs/decisions.md",
-        "docs/gallery.md",
-        "docs/use.md",
-    ],
+PAGES = sorted(
+    page.relative_to(ROOT)
+    for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*/*.md"), *ROOT.glob("assets/*.md")]
 )
-def test_every_file_that_is_linked_exists(page: str) -> None:
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_every_file_that_is_linked_exists(page: Path) -> None:
     linked = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text())
     assert [path for path in linked if not (ROOT / page).parent.joinpath(path).is_file()] == []
 
