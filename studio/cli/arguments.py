@@ -71,7 +71,7 @@ def _tell(kind: type) -> None:
                 own[name] = Annotated[annotation, tyro.conf.arg(help=said, help_behavior_hint=_default)]
 
 
-def _marks(annotation: object) -> tuple[object, ...]:
+def _marks(annotation: object) -> tuple[typing.Any, ...]:
     """Return what `Annotated` adds to a type."""
     return getattr(annotation, "__metadata__", ())
 
