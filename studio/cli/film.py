@@ -148,7 +148,7 @@ def _write_video(places: Sequence[tuple[History, str | None]], wanted: FilmArgum
     from studio.cli.terminal import make_console
     from studio.film.reel import Reel
 
-    jobs = min(cores(), MOST_JOBS) if wanted.jobs is None else wanted.jobs
+    jobs = min(len(cores()), MOST_JOBS) if wanted.jobs is None else wanted.jobs
     _check("--jobs", jobs, JOBS)
     film = _film(places, wanted, out)
     reel = Reel.of(film, out)
