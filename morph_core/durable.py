@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 _ASIDE = re.compile(r"\.(?P<target>[^.]+)(\.[0-9a-f]{1,8})?\.(?P<kind>draft|old)")
-"""What drafts are called, and what was moved aside: those of older versions had no random part."""
+"""Pattern of the names of drafts, and of what was moved aside; older versions gave them no random part."""
 _NAME = 40
-"""How much of a target's name its drafts carry: a name that is as long as a file system allows has drafts, too."""
+"""Number of characters of a target's name that its drafts carry, so that the longest name has drafts, too."""
 
 
 def write_file(path: Path, content: bytes) -> None:

@@ -50,9 +50,9 @@ _LAST_EVENT = 10**15
 _LAST_ORDER = 10**9
 """Largest number of a command that others are counted on from; a log from elsewhere may hold any."""
 ITERATION = re.compile(r"[0-9]{1,12}")
-"""What a word is like that names an iteration."""
+"""Pattern of a word that names an iteration."""
 CHECKPOINT = re.compile(r"[0-9]{6,12}")
-"""What a checkpoint is called: the number of its iteration."""
+"""Pattern of the names of checkpoints: the number of the iteration."""
 _CHOSEN = "recorded"
 """Array of an episode file that holds the numbers of its episodes, in the order of EPISODES; -1 for none."""
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")

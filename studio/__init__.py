@@ -1,1 +1,1 @@
-"""The browser studio around `morph_core`: backend, 3-D viewer, geometry and export."""
+"""The studio around `morph_core`: web server, 3-D viewer, command line, studies, films, and exports."""

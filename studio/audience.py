@@ -118,14 +118,14 @@ class _Pose:
         ]
 
 
-class _Pulse:
-    """An event that happens again and again."""
+class _Bell:
+    """A bell that wakes all who wait for it, again and again."""
 
     def __init__(self) -> None:
         self.next = anyio.Event()
 
-    def beat(self) -> None:
-        """Wake all who wait for the next one."""
+    def ring(self) -> None:
+        """Wake all who wait for the next ring."""
         self.next, now = anyio.Event(), self.next
         now.set()
 
@@ -154,7 +154,7 @@ class Audience:
         self._curves = b""
         self._curves_of: tuple[str, int] | None = None
         self._offered: tuple[str, ...] = ()
-        self._moved, self._said, self._came = _Pulse(), _Pulse(), _Pulse()
+        self._moved, self._said, self._came = _Bell(), _Bell(), _Bell()
 
     # --- for the presenter ---
 
@@ -190,8 +190,8 @@ class Audience:
         for seat in self._seats.values():
             seat.ended = why
         self._seats.clear()
-        self._moved.beat()
-        self._said.beat()
+        self._moved.ring()
+        self._said.ring()
 
     # --- for spectators ---
 
@@ -211,8 +211,8 @@ class Audience:
             self._stage = self._curves = b""  # nobody has kept them up to date
             self._curves_of = None
         seat = self._seats[key] = Seat(key)
-        for pulse in (self._moved, self._said, self._came):
-            pulse.beat()
+        for bell in (self._moved, self._said, self._came):
+            bell.ring()
         return seat
 
     def leave(self, seat: Seat) -> None:
@@ -220,7 +220,7 @@ class Audience:
         if self._seats.get(seat.key) is seat:
             del self._seats[seat.key]
         seat.ended = seat.ended or "Your page has left."
-        self._moved.beat()
+        self._moved.ring()
 
     def seat(self, key: str) -> Seat | None:
         """Return the seat that a page has taken, or None."""
@@ -229,13 +229,13 @@ class Audience:
     def follow(self, seat: Seat, follows: bool) -> None:
         """Let a spectator's camera be the presenter's, or its own."""
         seat.follows = follows
-        self._moved.beat()
+        self._moved.ring()
 
     def hear(self, seat: Seat, aspect: float) -> None:
         """Take in the shape of a spectator's scene."""
         if seat.aspect is None or abs(aspect - seat.aspect) > 0.01 * seat.aspect:
             seat.aspect = aspect
-            self._moved.beat()
+            self._moved.ring()
 
     async def words(self, seat: Seat) -> AsyncIterator[bytes]:
         """Yield what is said of the scene as server-sent events, the newest of each kind, until the seat is gone."""
@@ -261,7 +261,7 @@ class Audience:
         Whoever takes them slowly gets fewer of them, each with all that has changed.
         """
         seat.socket = socket
-        self._moved.beat()  # an earlier one ends
+        self._moved.ring()  # an earlier one ends
         scene: SceneCopy | None = None
         messages: list[tuple[int, Message]] = []
         known, first, pointed = 0, True, None
@@ -337,7 +337,7 @@ class Audience:
             self._count = max((count for count, _ in messages), default=0)
             self._frames.clear()
         if moved:
-            self._moved.beat()
+            self._moved.ring()
         return True
 
     def _note(self, is_there: bool) -> None:
@@ -380,7 +380,7 @@ class Audience:
             self._curves_of = of
         if (stage, curves) != (self._stage, self._curves):
             self._stage, self._curves = stage, curves
-            self._said.beat()
+            self._said.ring()
 
 
 def said(event: str, words: str) -> bytes:

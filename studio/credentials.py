@@ -6,7 +6,7 @@ import re
 from starlette.datastructures import Headers
 
 KEY = re.compile(r"[A-Za-z0-9_-]{16,64}")
-"""What the key of a page looks like; the page draws it at random."""
+"""Pattern of the key of a page, which the page draws at random."""
 
 
 def cookie_of(headers: Headers, name: str) -> str:

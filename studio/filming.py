@@ -99,7 +99,7 @@ class FilmState(msgspec.Struct, frozen=True, kw_only=True):
 
     state: Literal["none", "making", "ready", "failed", "cancelled"] = "none"
     number: int = 0
-    """How many have been begun since the server started: it tells one from the next."""
+    """Number of films begun since the server started, which tells one from the next."""
     wish: FilmWish | None = None
     name: str = ""
     """Name of the file; empty while none was wished for."""

@@ -305,6 +305,8 @@ class Runs:
         with self._histories.turn(run_id):
             alive, (status, _) = self._inquest.is_alive(history), self.status(history)
         if not alive and not (status in TAKES_LATER_EDITS and isinstance(command, AnyEdit)):  # obeyed at its resume
+            if status != "queued" and isinstance(command, Stop):
+                raise ValueError(f"{run_id} is {status}: no trainer is at work on it that could be stopped")
             if status != "queued":
                 raise ValueError(f"{run_id} is {status}: resume it, then send commands")
             if not isinstance(command, Stop) or not slurm_launch(history.folder):

@@ -54,7 +54,7 @@ def _token() -> str | None:
 
 
 def _trainers() -> int:
-    text = os.environ.get("MORPH_TRAINERS") or str(limits.cores())
+    text = os.environ.get("MORPH_TRAINERS") or str(len(limits.cores()))
     if not text.isdecimal():
         raise ValueError(f"MORPH_TRAINERS must be a whole number from 1 to {limits.MAX_TRAINERS}, not {text[:40]!r}")
     return int(text[:9])

@@ -1,5 +1,6 @@
 """What README, docs/use.md and CONTRIBUTING say is so: their commands, their files and the ten lines of Python."""
 
+import itertools
 import re
 import shlex
 import signal
@@ -63,6 +64,23 @@ def test_every_command_that_is_shown_exists_with_its_options(command: str, capsy
     shown = capsys.readouterr().out
     for option in (word for word in words if word.startswith("--")):
         assert option in shown
+    assert "None" not in shown  # a flag that may be left out
+    assert _broken_off(shown) == []
+
+
+def _broken_off(shown: str) -> list[str]:
+    """Return the lines of a help that end where the first word of the next line, of the same flag, would fit."""
+    broken, lines = [], re.findall(r"^│ (.*) │$", shown, re.MULTILINE)
+    for line, below in itertools.pairwise(lines):
+        same_flag = line.strip() and re.match(r" {8}", below) and not re.search(r" {2}|^\W", line.strip())
+        if same_flag and len(line.rstrip()) + 1 + len(below.split()[0] if below.split() else "") <= len(line):
+            broken.append(line)
+    return broken
+
+
+def test_a_line_of_a_help_that_is_broken_off_is_found() -> None:
+    lines = ["--one N   Number of things,", "          which is a whole", "          number that is large, enough."]
+    assert _broken_off("".join(f"│ {line:40} │\n" for line in lines)) == [f"{lines[1]:40}"]
 
 
 def test_the_readme_stays_one_screen() -> None:
@@ -102,21 +120,14 @@ def test_every_folder_that_the_docs_name_exists(folder: str) -> None:
     assert (ROOT / folder).is_dir()
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        "README.md",
-        "CONTRIBUTING.md",
-        "CHANGELOG.md",
-        "docs/cluster.md",
-        "docs/comparison.md",
-        "docs/hands.md",
-        "docs/decisions.md",
-        "docs/gallery.md",
-        "docs/use.md",
-    ],
+PAGES = sorted(
+    page.relative_to(ROOT)
+    for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*/*.md"), *ROOT.glob("assets/*.md")]
 )
-def test_every_file_that_is_linked_exists(page: str) -> None:
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_every_file_that_is_linked_exists(page: Path) -> None:
     linked = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text())
     assert [path for path in linked if not (ROOT / page).parent.joinpath(path).is_file()] == []
 

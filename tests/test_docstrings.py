@@ -25,6 +25,9 @@ CODE = re.compile(r"[`/\"]|\w+(_\w|\.\w|\()")
 FRAGMENT = re.compile(r"(Of|By|For|In|On|At|As|With|Along|Times|Than|Which|Are|Is|Its|The same)\b", re.IGNORECASE)
 """First words that continue the name of a field or a function, so that the sentence can't be read without it."""
 
+QUESTION = re.compile(r"(What|How|Where|Which|When|Who)\b")
+"""First words of a clause, which names neither a number nor its unit: "How far" is a distance, "How much" a share."""
+
 
 def _fault(docstring: str | None) -> str | None:
     """Return why a docstring does not stand alone, or None."""
@@ -71,24 +74,46 @@ def _inherited(owner: type, member: str) -> str | None:
     return None
 
 
-def _fields(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the constants and fields that have a docstring under them."""
+def _fields(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[str, ast.expr | None, str]]:
+    """Yield the constants and fields that have a docstring under them: name, value and docstring."""
     for statement, below in zip(body, [*body[1:], None], strict=True):
         match statement, below:
             case ast.ClassDef(name=name, body=inner), _:
                 yield from _fields(inner, f"{owner}{name}.")
             case (
-                (ast.Assign(targets=[target]) | ast.AnnAssign(target=target)),
+                (ast.Assign(targets=[target], value=value) | ast.AnnAssign(target=target, value=value)),
                 ast.Expr(value=ast.Constant(value=str(docstring))),
             ):
-                yield owner + ast.unparse(target), docstring
+                yield owner + ast.unparse(target), value, docstring
+
+
+def _quantity_fault(value: ast.expr | None, docstring: str) -> str | None:
+    """Return why the docstring of a number or a pattern does not say what it is, or None."""
+    if value and _is_number(value) and QUESTION.match(docstring):
+        return "begins with a question word where a number's quantity belongs"
+    if value and ast.unparse(value).startswith("re.compile(") and not re.search(r"\b[Pp]attern", docstring):
+        return "does not say that it is a pattern"
+    return None
+
+
+def _is_number(value: ast.expr) -> bool:
+    """Tell whether an expression is made of numbers alone: one, several, or what comes of some."""
+    nodes = list(ast.walk(value))
+    constants = [node.value for node in nodes if isinstance(node, ast.Constant)]
+    others = (ast.Name, ast.Call, ast.Dict, ast.List, ast.Set)
+    return {type(constant) for constant in constants} in ({int}, {float}, {int, float}) and not any(
+        isinstance(node, others) for node in nodes
+    )
 
 
 def _faults(path: Path) -> list[str]:
     source = (ROOT / path).read_text()
     module = importlib.import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
-    told = [(str(path), module.__doc__), *_members(module), *_fields(ast.parse(source).body)]
-    return [f"{name} {fault}: {docstring}" for name, docstring in told if (fault := _fault(docstring))]
+    fields = list(_fields(ast.parse(source).body))
+    told = [(str(path), module.__doc__), *_members(module), *((name, docstring) for name, _, docstring in fields)]
+    faults = [f"{name} {fault}: {docstring}" for name, docstring in told if (fault := _fault(docstring))]
+    unnamed = ((name, _quantity_fault(value, docstring), docstring) for name, value, docstring in fields)
+    return [*faults, *(f"{name} {fault}: {docstring}" for name, fault, docstring in unnamed if fault)]
 
 
 @pytest.mark.parametrize("path", MODULES, ids=map(str, MODULES))
@@ -115,6 +140,22 @@ def test_every_docstring_of_a_module_stands_alone(path: Path) -> None:
 )
 def test_a_docstring_that_does_not_stand_alone_is_found(docstring: str, fault: str | None) -> None:
     assert _fault(docstring) == fault
+
+
+@pytest.mark.parametrize(
+    ("statement", "fault"),
+    [
+        ("AIR = 0.1", "begins with a question word where a number's quantity belongs"),
+        ("AIR: float = -2.0", "begins with a question word where a number's quantity belongs"),
+        ("AIR, ABOVE = (1.0, 2 * 3.5)", "begins with a question word where a number's quantity belongs"),
+        ('AIR = "0.1"', None),
+        ("AIR = re.compile('x')", "does not say that it is a pattern"),
+    ],
+)
+def test_a_number_that_is_called_by_a_question_is_found(statement: str, fault: str | None) -> None:
+    ((_, value, docstring),) = _fields(ast.parse(f'{statement}\n"""How far it is."""').body)
+    assert _quantity_fault(value, docstring) == fault
+    assert _quantity_fault(value, "m: distance, and the pattern of its name.") is None
 
 
 def test_public_members_without_a_docstring_are_found() -> None:

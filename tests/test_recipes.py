@@ -4,14 +4,24 @@ import re
 import shutil
 import tomllib
 from pathlib import Path
+from typing import Any
 
+import anyio
+import httpx
 import pytest
+import viser
 
+from studio.app import create_app
+from studio.recordings import Recordings
+from studio.settings import Settings
 from tests import forked
 from tests.packages import ROOT, beside, python, write_package
 
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 FILES = dict(re.findall(r"^```python\n# robots/(\w+)\.py\n(.*?)^```$", CONTRIBUTING, re.DOTALL | re.MULTILINE))
+OF_THE_STUDIO = dict(
+    re.findall(r"^```python\n# studio/([\w/]+)\.py\n(.*?)^```$", CONTRIBUTING, re.DOTALL | re.MULTILINE)
+)
 (POINTS,) = re.findall(r"^```toml\n(.*?)^```$", CONTRIBUTING, re.DOTALL | re.MULTILINE)
 RUN = """
 from itertools import islice
@@ -93,6 +103,40 @@ def test_in_this_repository_a_new_file_is_all_it_takes(tmp_path: Path) -> None:
         assert did == "2 True"
 
 
+def shown_in(path: str) -> dict[str, Any]:
+    """Return the names of a file of the studio that CONTRIBUTING shows and the studio does not have."""
+    assert not (ROOT / "studio" / f"{path}.py").exists()
+    names: dict[str, Any] = {}
+    exec(compile(OF_THE_STUDIO[path], path, "exec"), names)
+    return names
+
+
+def test_the_route_of_the_recipe_answers_and_refuses(tmp_path: Path) -> None:
+    token = {"Authorization": "Bearer a token of this test"}
+    app = create_app(Settings(runs=tmp_path / "runs", state=tmp_path, token="a token of this test"))
+    app.include_router(shown_in("api/mass")["mass_router"](app.state.runs))
+
+    async def ask(design: str, headers: dict[str, str]) -> httpx.Response:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://127.0.0.1:8000") as client:
+            return await client.get(f"/api/runs/recorded-pen_press/mass?design={design}", headers=headers)
+
+    found = anyio.run(ask, "0", token)
+    assert (found.status_code, 0.1 < found.json() < 5) == (200, True)
+    assert anyio.run(ask, "x", token).status_code == 404
+    assert anyio.run(ask, "0", {}).status_code == 401
+
+
+def test_the_panel_of_the_recipe_shows_a_run() -> None:
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    panel = shown_in("viewer/mass")["MassPanel"](server.gui)
+    panel.update(Recordings().get("recorded-reacher").history, 0)
+    assert re.search(r"\d g", panel.words.content)
+    panel.clear()
+    assert panel.words.content == ""
+    server.stop()
+
+
 def test_the_lines_of_a_recipe_are_as_long_as_ours() -> None:
     assert FILES
-    assert [line for source in FILES.values() for line in source.splitlines() if len(line) > 120] == []
+    shown = [*FILES.values(), *OF_THE_STUDIO.values()]
+    assert [line for source in shown for line in source.splitlines() if len(line) > 120] == []

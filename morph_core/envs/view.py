@@ -13,7 +13,7 @@ _OBLIQUE, _ABOVE = np.array([0.55, -1.0, 0.5]), np.array([0.0, 0.0, 1.0])
 _FLAT = 0.25
 """A scene is flat where its height is less than this share of its shorter side."""
 _AIR = 0.1
-"""What is seen beyond each side of a flat scene, as a share of it: arms swing out of the box in which they start."""
+"""Margin beyond each side of a flat scene, as a share of it: arms swing out of the box in which they start."""
 _LAMP = np.array([-0.35, -0.5, 0.8])
 """From the middle of the scene to the lamp."""
 _AMBIENT = 0.6

@@ -15,7 +15,7 @@ import numpy as np
 
 DENSITY = 1240.0  # kg/m^3: PLA
 ARM_SCALE = 2.5
-"""How many times larger the arm's links are than a finger's, from which they are made."""
+"""Factor by which the arm's links are larger than a finger's, from which they are made."""
 
 Servo = Literal["none", "mg90s"]
 """The servo for which the palm has pockets, one for each finger."""

@@ -15,6 +15,7 @@ from typing import Annotated, TypeVar
 import tyro
 
 from morph_core.config import guess
+from studio.fields import docs_of
 from studio.settings import at_home, default_runs
 
 T = TypeVar("T")
@@ -37,6 +38,7 @@ class RunsArguments:
 def parse(kind: type[T], words: Sequence[str], command: str) -> T:
     """Return the arguments; raise UsageError with one line. `--help` prints and exits."""
     _check_options(kind, words)
+    _tell(kind)
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
@@ -47,6 +49,36 @@ def parse(kind: type[T], words: Sequence[str], command: str) -> T:
         if end.code in (0, None):
             raise
     raise UsageError(f"{command}: {_one_line(said.getvalue())}")
+
+
+def _tell(kind: type) -> None:
+    """Let each flag's help be its docstring as one paragraph, and say a default only where there is one.
+
+    The parser itself keeps the line ends that a docstring has in the source.
+    """
+    for base in kind.__mro__:
+        if not dataclasses.is_dataclass(base):
+            continue
+        docs, own = docs_of(base), vars(base).get("__annotations__", {})
+        for name, annotation in own.items():
+            bare = typing.get_args(annotation)[0] if typing.get_origin(annotation) is Annotated else annotation
+            if dataclasses.is_dataclass(bare) and isinstance(bare, type):
+                _tell(bare)
+                continue
+            marks = _marks(annotation)
+            if not any(getattr(mark, "help_behavior_hint", None) is _default for mark in marks):
+                said = None if any(getattr(mark, "help", None) for mark in marks) else docs.get(name)
+                own[name] = Annotated[annotation, tyro.conf.arg(help=said, help_behavior_hint=_default)]
+
+
+def _marks(annotation: object) -> tuple[typing.Any, ...]:
+    """Return what `Annotated` adds to a type."""
+    return getattr(annotation, "__metadata__", ())
+
+
+def _default(shown: str) -> str:
+    """Return what the help says of a default; nothing where a flag may just be left out."""
+    return "" if shown in ("None", "False", "", "''") else f"(default: {shown})"
 
 
 def _at_home(arguments: T) -> T:
@@ -74,7 +106,7 @@ def options(kind: type, prefix: str = "") -> Iterator[str]:
     hints = typing.get_type_hints(kind, include_extras=True)
     for entry in dataclasses.fields(kind):
         annotation = hints[entry.name]
-        bare, marks = annotation, getattr(annotation, "__metadata__", ())
+        bare, marks = annotation, _marks(annotation)
         if typing.get_origin(annotation) is Annotated:
             bare = typing.get_args(annotation)[0]
         if not entry.init or tyro.conf.Positional in marks:

@@ -22,7 +22,10 @@ def open_run(runs: Path, run: str) -> History:
 
 
 def place_of(runs: Path, word: str, option: str) -> tuple[History, int | None]:
-    """Return the run of RUN or RUN@ITERATION, and the iteration, None where there is none. UsageError says what is."""
+    """Return the run of RUN or RUN@ITERATION, and the iteration, None where none is named.
+
+    UsageError says what is allowed.
+    """
     run, at, iteration = word.rpartition("@")
     if not at or "/" in iteration:
         return open_run(runs, word), None

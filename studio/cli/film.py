@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from studio.film.plan import Film
 
 HEIGHTS, FPS, JOBS = (240, 2160), (5, 60), (1, 64)
-"""What is allowed: the height in pixels, frames per second, and processes."""
+"""Ranges of a film: height in pixels, frames per second, and processes that render it."""
 ASPECTS, SIDE_BY_SIDE = (1.25, 2.4), (1.6, 2.8)
 """Smallest and largest width of a film as a multiple of its height, and of one with two scenes side by side."""
 MOST_JOBS = 8
@@ -148,7 +148,7 @@ def _write_video(places: Sequence[tuple[History, str | None]], wanted: FilmArgum
     from studio.cli.terminal import make_console
     from studio.film.reel import Reel
 
-    jobs = min(cores(), MOST_JOBS) if wanted.jobs is None else wanted.jobs
+    jobs = min(len(cores()), MOST_JOBS) if wanted.jobs is None else wanted.jobs
     _check("--jobs", jobs, JOBS)
     film = _film(places, wanted, out)
     reel = Reel.of(film, out)

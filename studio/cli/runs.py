@@ -3,9 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
+import tyro
 
 from morph_core import run_folder
 from morph_core.protocol import Parent
@@ -26,7 +27,7 @@ class ListArguments(RunsArguments):
     """Whether to leave archived runs out, to list them too, or alone."""
     starred: bool = False
     """List starred runs alone."""
-    tag: str | None = None
+    tag: Annotated[str | None, tyro.conf.arg(metavar="TAG")] = None
     """List runs with this tag alone."""
     json: bool = False
     """Print one JSON document and nothing else."""

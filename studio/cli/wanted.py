@@ -128,12 +128,13 @@ def _flags(kind: type, task: Task, method: Method, fields: Sequence[Field], seed
     parts = [(f"{head}_part", *_group(head, docs.get(head, ""), list(inside))) for head, inside in groups]
     chosen = Annotated[Literal[tuple(METHODS)], tyro.conf.arg(help=_methods_help())]  # pyright: ignore
     own = _group("task", f"Options of {task.name}", _offered(task))
+    words = tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}", help=_presets_help())
     named = tyro.conf.arg(metavar="TASK", help=f"{docs_of(kind)['task']} Choose from: {', '.join(TASKS)}.")
     return dataclasses.make_dataclass(
         kind.__name__,
         [
             ("task", Annotated[str, tyro.conf.Positional, named], ""),
-            ("preset", Annotated[Literal[tuple(PRESETS)] | None, tyro.conf.arg(help=_presets_help())], None),  # pyright: ignore
+            ("preset", Annotated[Literal[tuple(PRESETS)] | None, words], None),  # pyright: ignore
             ("method", chosen, method.name),
             ("seed", Annotated[int, tyro.conf.arg(help="Seed of all randomness.")], seed),
             *(_flag(field) for field in fields if "." not in field.name),

@@ -26,7 +26,7 @@ READING_SECONDS = 60
 EPISODE_SECONDS = 10
 """CPU time that is added for each episode of the policy."""
 WALL_FACTOR = 5
-"""How much longer than its CPU time a proof may take, on a machine that does other things as well."""
+"""Factor by which a proof may take longer than its CPU time, on a machine that does other things as well."""
 MEMORY_BYTES = 4 << 30
 
 

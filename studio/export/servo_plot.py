@@ -9,7 +9,7 @@ import numpy as np
 WIDTH, NAMES, ROW, HEAD, FOOT = 460, 130, 22, 44, 26
 """Sizes in the picture's own pixels: its width, that of the joints' names, and the heights of a row, head and foot."""
 _ROOM = 1.08
-"""How much longer the axis is than the largest number on it."""
+"""Factor by which the axis is longer than the largest number on it."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ SIDE_WIDTH, SIDE_HEIGHTS = 440, (110, 440)
 WIDTH, HEIGHTS = 840, (300, 620)
 """Width of the large pictures, and the lowest and the largest height that they are given, in pixels."""
 APART = 0.4
-"""How far a part is drawn from the one that carries it, as a share of the distance of their middles."""
+"""Distance of a part from the one that carries it, as a share of the distance of their middles."""
 MARGIN = 40
 """Height in pixels that is left above and below what is seen, together."""
 GAP = 34.0

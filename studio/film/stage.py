@@ -23,7 +23,7 @@ _SOFT = 5.0
 _COARSE = 4
 """Fine pixels along a side of one pixel of the shadow: it is blurred anyway."""
 _GHOST = 0.38
-"""How opaque the design in the background is."""
+"""Opacity of the design in the background, from 0 to 1."""
 _BALL = 0.011
 """Radius of the ball that marks a contact, as a share of the scene's longest side."""
 _SIDES = 180

@@ -15,7 +15,7 @@ from morph_core import durable, inside
 from morph_core.run_folder import RunFolder, RunFolderError, hold
 
 FOLDER = ".trash"
-"""A name that no run can have."""
+"""Folder of the trash, in that of the runs; no run can have this name."""
 DAYS = 7
 MOST = 200
 AT_LEAST = 3600.0

@@ -1,1 +1,1 @@
-"""One offline HTML file in which an exported hand runs live."""
+"""HTML files that need no network: a hand that runs live, and the evolution of runs."""

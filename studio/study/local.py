@@ -39,7 +39,7 @@ CANCELLED = "cancelled"
 SLOTS = ".slots"
 """Folder of a study whose files are locked by the trainers that take up a slot."""
 NICENESS = 5
-"""What is added to the niceness of trainers, so that a machine full of them can still be used."""
+"""Number that is added to the niceness of trainers, so that a machine full of them can still be used."""
 
 
 class Process(msgspec.Struct, frozen=True):
@@ -78,18 +78,11 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
     """Why no queue starts it any more."""
 
 
-def cores() -> list[int]:
-    """Return the cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count() or 1))
-
-
 @dataclass
 class Local(Launcher):
     """A queue over the cores of this machine."""
 
-    slots: int = field(default_factory=lambda: len(cores()))
+    slots: int = field(default_factory=lambda: len(limits.cores()))
     """Number of trainers at a time, by default as many as there are cores."""
     spawn: Callable[..., subprocess.Popen[bytes]] = spawn_trainer
     """Function that starts the trainer of a run folder, which inherits the file descriptors `held`."""
@@ -242,7 +235,7 @@ def _settle(pid: int, slot: int) -> None:
     """Give a trainer one core of its own, and let others go first."""
     with contextlib.suppress(OSError):  # it has ended already
         if hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(pid, {cores()[slot % len(cores())]})
+            os.sched_setaffinity(pid, {limits.cores()[slot % len(limits.cores())]})
         os.setpriority(os.PRIO_PROCESS, pid, os.getpriority(os.PRIO_PROCESS, 0) + NICENESS)
 
 

@@ -22,7 +22,7 @@ LARGEST_PLAN = 16 << 20
 MOST_SEEDS = 1000
 MOST_RUNS = 10_000
 _SLUG = 60
-"""How much of a label stands in the name of a run."""
+"""Number of characters of a label that stand in the name of a run."""
 
 
 class StudyError(ValueError):

@@ -11,7 +11,7 @@ MOST_AT_ONCE = 1000
 SHORTEST_LIMIT = 300
 """Smallest time limit in seconds: Slurm may warn a minute early, and a trainer needs time to load and to learn."""
 WARNING_SECONDS = 120
-"""How long before the time limit a trainer is told to save, or a quarter of the limit if that is shorter."""
+"""Seconds before the time limit at which a trainer is told to save; a quarter of the limit if that is shorter."""
 
 
 @dataclass(frozen=True)

@@ -30,13 +30,13 @@ USUAL_ASPECT = 0.72
 NARROW = 0.7
 """Width / height of a page, such as a phone's, below which the panel lies over the lower half of the scene."""
 _LIFT = 0.45
-"""How far above the middle of a narrow page the middle of the scene is seen, as a share of half the page's height."""
+"""Height of the scene's middle above that of a narrow page, as a share of half the page's height."""
 _TILT = math.radians(16)
 """Angle by which the camera leans from straight above where everything lies in one plane, in radians."""
 OBLIQUE = np.array([0.55, -1.0, 0.5]) / np.linalg.norm([0.55, -1.0, 0.5])
 """Unit vector from the middle of the scene to the camera, where the scene has height."""
 _AIR, _AIR_ABOVE = 1.06, 1.18
-"""How much wider than the box the view is, from the side and from above, where lengths are written round the box."""
+"""Factors by which the view is wider than the box: from the side; from above, where lengths are written round it."""
 _MOST_LABELS = 8
 """Largest number of lines along a side of the grid that all have their length written at them; of more, every second
 one has."""

@@ -21,7 +21,7 @@ from studio.limits import cores
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path)
-    parser.add_argument("--jobs", type=int, default=cores())
+    parser.add_argument("--jobs", type=int, default=len(cores()))
     parser.add_argument("--seconds", type=float)
     arguments = parser.parse_args()
     history = History(RunFolder(arguments.run.resolve()))

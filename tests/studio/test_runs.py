@@ -192,6 +192,8 @@ def test_a_lost_run_takes_other_edits_too(runs_folder: Path) -> None:
     assert runs.summary(folder.id).status == "lost"
     runs.send(folder.id, SetAlpha(2.0))
     with pytest.raises(ValueError, match="is lost: resume it"):
+        runs.send(folder.id, Pause())
+    with pytest.raises(ValueError, match="is lost: no trainer is at work on it"):
         runs.send(folder.id, Stop())
     assert [order.command for _, order in folder.pending() if order] == [SetAlpha(2.0)]
 

@@ -18,8 +18,9 @@ from morph_core.history import History
 from morph_core.protocol import Stop
 from morph_core.run_folder import RunFolder, process_alive
 from studio.cli.study import _cancel, _status
+from studio.limits import cores
 from studio.study.launcher import Place
-from studio.study.local import Local, cores, read_launch
+from studio.study.local import Local, read_launch
 from studio.study.plan import PlannedTask, Study, parse_variant, plan_study, write_study
 from studio.study.standing import Standings
 
