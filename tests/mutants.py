@@ -79,7 +79,9 @@ class Copy:
         assert self._nursery.stdin
         assert self._nursery.stdout
         print(json.dumps([tests, seconds]), file=self._nursery.stdin, flush=True)
-        status, said = json.loads(self._nursery.stdout.readline())
+        if not (answer := self._nursery.stdout.readline()):
+            raise RuntimeError("the process that runs the tests has ended")
+        status, said = json.loads(answer)
         return status, said
 
     def close(self) -> None:

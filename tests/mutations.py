@@ -891,7 +891,8 @@ MUTANTS: tuple[Mutant, ...] = (
         ("(row if fits else left).append(body)", "left.append(body)"),
     ),
     *_of(
-        "studio/export/trial.py", "studio/test_export_proof.py",
+        "studio/export/trial.py",
+        "studio/test_export_proof.py::test_a_process_that_can_not_run_the_episodes_is_a_failed_check_that_says_why",
         ('return Outcome(None, [Check("policy", math.inf,', 'return Outcome(None, [Check("policy", 0.0,'),
     ),
     # --- what a browser may say ---
@@ -917,8 +918,11 @@ MUTANTS: tuple[Mutant, ...] = (
         ('if link and is_visit(scope["method"], headers)', "if link"),
     ),
     *_of(
-        "studio/audience.py", "studio/test_audience.py",
+        "studio/audience.py", "studio/test_audience.py::test_one_too_many_is_told_so_in_words",
         ("len(self._seats) >= MOST", "False"),
+    ),
+    *_of(
+        "studio/audience.py", "studio/test_audience.py",
         ("self.dismiss(ENDED)", "pass"),
         ("known < self._count", "False"),
         ("if seat.follows and", "if"),
