@@ -1272,5 +1272,14 @@ MUTANTS: tuple[Mutant, ...] = (
         ('or "origin" not in headers:', "or False:"),
         ("if origins and (len(origins) != 1 or not _same_origin(origins[0], hosts[0])):", "if False:"),
         ("len(hosts) != 1 or _name_of(hosts[0]) not in self.hosts", "len(hosts) != 1"),
+        ("private = status.st_uid == os.getuid() and not status.st_mode & 0o077", "private = True"),
+        ("httponly=True", "httponly=False"),
+        ("headers.setdefault(name, value)", "pass"),
+    ),
+    *_of(
+        "studio/security.py", "attack/test_strangers.py::test_wrong_tokens_are_slowed_and_the_cookie_still_opens",
+        ("return own >= MOST_GUESSES or", "return"),
+        ("not self.has_cookie(headers) and self.guesses", "self.guesses"),
+        ("        self.guesses.note(address)\n        return False", "        return False"),
     ),
 )  # fmt: skip
