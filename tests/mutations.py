@@ -1292,4 +1292,11 @@ MUTANTS: tuple[Mutant, ...] = (
         "studio/export/proof.py", "studio/test_export_proof.py::test_files_broken_on_purpose_are_found_out",
         ("abs(printed.mass - mass) / mass, MASS_ALLOWED)", "0 * mass, MASS_ALLOWED)"),
     ),
+    *_of(
+        "studio/study/slurm_queue.py", "studio/test_slurm.py",
+        ("now - self._asked >= FRESH_SECONDS or ", "True or "),
+        ('lines.get(task) or lines.get(task.split("_")[0])', "lines.get(task)"),
+        ('if "Invalid job id" not in str(error):\n            raise', "if True:\n            raise"),
+        ('if state == "COMPLETED":', 'if state == "FAILED":'),
+    ),
 )  # fmt: skip
