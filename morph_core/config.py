@@ -5,8 +5,9 @@ import difflib
 import functools
 import math
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta
@@ -55,9 +56,10 @@ class Settings:
                 object.__setattr__(self, field.name, checked)
 
 
-def kinds_of(kind: type) -> dict[str, Any]:
+@functools.cache
+def kinds_of(kind: type) -> Mapping[str, Any]:
     """Return the annotation of every field of a dataclass, its range included."""
-    return typing.get_type_hints(kind, include_extras=True)
+    return MappingProxyType(typing.get_type_hints(kind, include_extras=True))  # slow: all settings are checked with it
 
 
 def range_of(annotation: Any) -> tuple[Any, Meta | None]:

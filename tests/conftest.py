@@ -2,8 +2,10 @@
 
 import gc
 import os
+from collections.abc import Iterator
 
 import hypothesis
+import pytest
 
 os.environ["OMP_NUM_THREADS"] = "1"  # before torch loads: idle threads that spin slow everything down on two cores
 
@@ -16,3 +18,13 @@ def pytest_collection_finish() -> None:
     time."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="module")
+def short_episodes() -> Iterator[None]:
+    """Let episodes of the reacher end after an eighth of their steps, for runs of which nothing is to be learnt."""
+    from morph_core.tasks.reacher import Reacher  # after what is set above
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Reacher, "horizon", Reacher.horizon // 8)
+        yield

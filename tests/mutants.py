@@ -4,9 +4,13 @@ A survivor is a line that no test holds. The list is in `tests/mutations.py`; to
 """
 
 import argparse
+import compileall
 import contextlib
 import fnmatch
+import itertools
+import json
 import os
+import py_compile
 import queue
 import random
 import re
@@ -15,18 +19,27 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from tests.mutations import MUTANTS, Mutant
 
 ROOT = Path(__file__).parents[1]
 SECONDS = 300
 """A run of tests that takes longer hangs: that is noticed, too."""
+LIBRARIES = (
+    *("pytest", "hypothesis", "numpy", "scipy.stats", "torch", "torch._dynamo", "cma", "mujoco", "msgspec", "psutil"),
+    *("starlette.testclient", "fastapi", "uvicorn", "httpx", "websockets.sync.client", "rich.console", "tyro"),
+    *("viser", "trimesh", "lxml.etree", "networkx", "manifold3d", "safetensors.torch", "zstandard", "yourdfpy"),
+    *("matplotlib.pyplot", "jinja2", "PIL.Image", "imageio_ffmpeg"),
+)
+"""Not Gymnasium, whose import our packages watch for, and none that starts threads, which a child would lack."""
 NOT_COPIED = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "dist", "typings")
 
+T = TypeVar("T")
+R = TypeVar("R")
 Verdict = Literal["killed", "SURVIVED", "STALE", "BROKEN"]
 """BROKEN: the named tests could not be run with it, so that nothing is known of it."""
 
@@ -45,44 +58,46 @@ def stale(mutant: Mutant, root: Path) -> str | None:
     return None
 
 
-def run_tests(tree: Path, tests: Sequence[str]) -> tuple[int | None, str]:
-    """Return pytest's exit status in a tree, None where it hangs, and what it said."""
-    environment = os.environ | {
-        "PYTHONPATH": str(tree),
-        "PYTHONDONTWRITEBYTECODE": "1",  # the time and size of a source may be those of the mutant before
-        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # they take longer to load than most of these tests to run
-        "OMP_NUM_THREADS": "1",
-    }
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-x",
-        "-q",
-        "-o",
-        "addopts=",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "pytest_timeout",
-        *tests,
-    ]
-    try:
-        ended = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, timeout=SECONDS)
-    except subprocess.TimeoutExpired:
-        return None, f"not done after {SECONDS} s"
-    return ended.returncode, ended.stdout
+class Copy:
+    """A copy of the tree, and a process that runs its tests in children which need not load the libraries first."""
+
+    def __init__(self, root: Path, path: Path, libraries: Sequence[str] = ()) -> None:
+        self.path = shutil.copytree(root, path, ignore=NOT_COPIED)
+        compileall.compile_dir(path, quiet=2, invalidation_mode=py_compile.PycInvalidationMode.CHECKED_HASH)
+        environment = os.environ | {
+            "PYTHONPATH": str(path),
+            "PYTHONDONTWRITEBYTECODE": "1",  # the time and size of a source may be those of the mutant before
+            "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # they take longer to load than most of these tests to run
+            "OMP_NUM_THREADS": "1",
+        }
+        command = [sys.executable, "-P", str(ROOT / "tests/nursery.py"), *libraries]
+        pipe = subprocess.PIPE
+        self._nursery = subprocess.Popen(command, cwd=path, env=environment, stdin=pipe, stdout=pipe, text=True)
+
+    def run_tests(self, tests: Sequence[str], seconds: float = SECONDS) -> tuple[int | None, str]:
+        """Return pytest's exit status, None where it hangs, and what it said."""
+        assert self._nursery.stdin
+        assert self._nursery.stdout
+        print(json.dumps([tests, seconds]), file=self._nursery.stdin, flush=True)
+        if not (answer := self._nursery.stdout.readline()):
+            raise RuntimeError("the process that runs the tests has ended")
+        status, said = json.loads(answer)
+        return status, said
+
+    def close(self) -> None:
+        """End the process; the copy stays."""
+        self._nursery.communicate()
 
 
-def verdict(mutant: Mutant, tree: Path) -> tuple[Verdict, str]:
+def verdict(mutant: Mutant, tree: Copy) -> tuple[Verdict, str]:
     """Return what becomes of a mutant in a copy of the tree, which is left as it was."""
-    if reason := stale(mutant, tree):
+    if reason := stale(mutant, tree.path):
         return "STALE", reason
-    file = tree / mutant.file
+    file = tree.path / mutant.file
     text = file.read_text()
     file.write_text(text.replace(mutant.old, mutant.new))
     try:
-        status, said = run_tests(tree, mutant.tests)
+        status, said = tree.run_tests(mutant.tests)
     finally:
         file.write_text(text)
     if status == 0:
@@ -90,14 +105,33 @@ def verdict(mutant: Mutant, tree: Path) -> tuple[Verdict, str]:
     return ("killed", "") if status in (1, None) else ("BROKEN", said.strip().rpartition("\n")[2])
 
 
-@contextlib.contextmanager
-def copies(root: Path, count: int) -> Iterator["queue.SimpleQueue[Path]"]:
-    """Give copies of the tree, to be taken and put back."""
-    trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
-    with tempfile.TemporaryDirectory() as folder:
-        for number in range(count):
-            trees.put(shutil.copytree(root, Path(folder) / str(number), ignore=NOT_COPIED))
-        yield trees
+class Copies:
+    """Copies of a tree, at work on one thing each."""
+
+    def __init__(self, root: Path, folder: Path, count: int, libraries: Sequence[str]) -> None:
+        self._all = [Copy(root, folder / str(number), libraries) for number in range(count)]
+        self._free: queue.SimpleQueue[Copy] = queue.SimpleQueue()
+        for copy in self._all:
+            self._free.put(copy)
+        self._pool = ThreadPoolExecutor(count)
+
+    def map(self, work: Callable[[Copy, T], R], things: Iterable[T]) -> Iterator[R]:
+        """Yield what comes of each thing, in their order."""
+
+        def on_a_free_one(thing: T) -> R:
+            copy = self._free.get()
+            try:
+                return work(copy, thing)
+            finally:
+                self._free.put(copy)
+
+        return self._pool.map(on_a_free_one, things)
+
+    def close(self) -> None:
+        """Begin nothing more, and end the processes."""
+        self._pool.shutdown(cancel_futures=True)
+        for copy in self._all:
+            copy.close()
 
 
 def chosen(mutants: Sequence[Mutant], only: str | None, sample: int | None, seed: int | None) -> list[Mutant]:
@@ -106,27 +140,26 @@ def chosen(mutants: Sequence[Mutant], only: str | None, sample: int | None, seed
     return fitting if sample is None else random.Random(seed).sample(fitting, min(sample, len(fitting)))
 
 
-def judge(mutants: Sequence[Mutant], root: Path = ROOT, jobs: int = 1) -> int:
+def by_file(mutants: Iterable[Mutant]) -> list[list[str]]:
+    """Return the tests that mutants name, those of one file together."""
+    named = sorted({test for mutant in mutants for test in mutant.tests})
+    return [list(tests) for _, tests in itertools.groupby(named, lambda test: test.partition("::")[0])]
+
+
+def judge(mutants: Sequence[Mutant], root: Path = ROOT, jobs: int = 1, libraries: Sequence[str] = LIBRARIES) -> int:
     """Print what becomes of each mutant, then the survivors and the counts; return 0 if all were killed."""
     not_killed: list[str] = []
     counts: Counter[Verdict] = Counter()
-    with copies(root, jobs) as trees, ThreadPoolExecutor(jobs) as pool:
-
-        def ask(mutant: Mutant) -> tuple[Verdict, str]:
-            tree = trees.get()
-            try:
-                return verdict(mutant, tree)
-            finally:
-                trees.put(tree)
-
-        first = trees.get()
-        named = sorted({test for m in mutants if not stale(m, first) for test in m.tests})
-        status, said = run_tests(first, named) if named else (0, "")
-        trees.put(first)
-        if status != 0:
-            print(said, "Without any mutant the named tests fail already: that is to be mended first.", sep="\n")
-            return 1
-        for mutant, (word, reason) in zip(mutants, pool.map(ask, mutants), strict=True):
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.closing(Copies(root, Path(folder), jobs, libraries)) as copies,
+    ):
+        named = by_file(mutant for mutant in mutants if not stale(mutant, root))
+        for status, said in copies.map(Copy.run_tests, named):
+            if status != 0:
+                print(said, "Without any mutant the named tests fail already: that is to be mended first.", sep="\n")
+                return 1
+        for mutant, (word, reason) in zip(mutants, copies.map(lambda c, m: verdict(m, c), mutants), strict=True):
             counts[word] += 1
             line = f"{word:8}  {mutant}" + (f"\n          {reason}" if reason else "")
             print(line, flush=True)

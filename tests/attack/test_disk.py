@@ -18,6 +18,8 @@ from studio.cli.arguments import UsageError
 from studio.cli.train import main
 from tests.core.conftest import make_run
 
+pytestmark = pytest.mark.usefixtures("short_episodes")
+
 WRITERS = (
     (Path, "mkdir"), (Path, "open"), (Path, "rename"), (Path, "write_bytes"), (Path, "write_text"), (os, "pwrite")
 )  # fmt: skip

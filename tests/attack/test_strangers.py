@@ -62,6 +62,7 @@ def test_wrong_tokens_are_slowed_and_the_cookie_still_opens(served: Served) -> N
         assert stranger.get("/healthz").status_code == 200
     with httpx.Client(base_url=address, cookies=served.client.cookies) as owner:
         assert owner.get("/api/runs").status_code == 200
+        assert owner.get("/api/runs", headers=WRONG).status_code == 200, "whatever else it brings"
 
 
 def test_one_address_does_not_keep_another_out_and_all_together_have_an_end() -> None:

@@ -23,6 +23,8 @@ from morph_core.state import State
 from morph_core.train import Trainer
 from tests.core.conftest import SMALL, make_run, rewrite, small_method
 
+pytestmark = pytest.mark.usefixtures("short_episodes")
+
 TASK = make_task("reacher")
 METHODS = ("morph", "cmaes_rl", "direct", "no_hw_opt", "transform2act", "value_gradient")
 

@@ -16,7 +16,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from morph_core import catalogue
-from morph_core.catalogue import EXPLORATIONS, METHODS, SEARCHES, TASKS, configured, make_method, make_task, read_method
+from morph_core.catalogue import (
+    EXPLORATIONS,
+    METHODS,
+    SEARCHES,
+    TASKS,
+    alternatives,
+    configured,
+    make_method,
+    make_task,
+    read_method,
+)
 from morph_core.config import LARGEST, Settings, check_value, flattened, kinds_of, limits, paths_of, range_of, recorded
 from morph_core.format_1 import RENAMED
 from morph_core.method import Method
@@ -267,6 +277,15 @@ def test_a_recorded_setting_that_does_nothing_is_refused() -> None:
 
 
 # --- what a task has tuned ---
+
+
+def test_a_task_is_offered_what_it_can_run_and_nothing_else() -> None:
+    offered = {}
+    for task in (PEN, REACHER):
+        method: Any = make_method("morph", task)
+        offered[task.name] = alternatives(method.exploration, kinds_of(type(method))["exploration"], task)
+    assert set(offered["pen_press"]) == {"design"}
+    assert set(offered["reacher"]) == set(EXPLORATIONS)
 
 
 def test_a_method_of_a_task_is_as_the_task_has_tuned_it() -> None:

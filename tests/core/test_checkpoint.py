@@ -14,6 +14,8 @@ from morph_core.run_folder import HeartbeatFile, RunFolder, RunFolderError
 from morph_core.state import State, start
 from tests.core.conftest import SMALL, make_run, rewrite, small_method
 
+pytestmark = pytest.mark.usefixtures("short_episodes")
+
 TASK = make_task("reacher")
 
 

@@ -1,6 +1,7 @@
 """CMA-ES over phi with PPO for every candidate: on two scales a candidate's return is 3 (phi_1 + phi_2)."""
 
 import dataclasses
+import functools
 import itertools
 import json
 from dataclasses import dataclass
@@ -253,12 +254,20 @@ def test_a_bound_that_moves_the_present_candidate_begins_it_again_where_it_has_m
 # --- checkpoints ---
 
 
+@functools.cache
+def uninterrupted(largest: float, seed: int) -> tuple[list[Progress], State]:
+    """Return the first thirty iterations, and the state after them."""
+    task = Scales(largest=largest)
+    state = begun(task, seed=seed)
+    return run(30, state, task), state
+
+
 @pytest.mark.parametrize("after", [1, 2, 3, 13, 14])
 def test_it_goes_on_from_a_checkpoint_bit_for_bit(after: int, tmp_path: Path) -> None:
     folder = make_run(tmp_path)
     task = Scales(largest=8.0)
-    whole, state = begun(task, seed=4), begun(task, seed=4)
-    expected = run(30, whole, task)
+    expected, whole = uninterrupted(8.0, seed=4)
+    state = begun(task, seed=4)
     run(after, state, task)
     save_checkpoint(folder, state, 0.0)
     loaded, _ = load_checkpoint(folder, after, task, RIVAL)

@@ -549,11 +549,12 @@ def test_a_video_holds_every_frame_at_the_pace_of_the_task(tmp_path: Path, monke
 
     for module in ("moviepy", "moviepy.video", "moviepy.video.io", "moviepy.video.io.ImageSequenceClip"):
         monkeypatch.setitem(sys.modules, module, types.SimpleNamespace(ImageSequenceClip=clip))
-    env = RecordVideo(gymnasium.make("morph/PenPress-v0", render_mode="rgb_array"), str(tmp_path))
+    hand = gymnasium.make("morph/PenPress-v0", render_mode="rgb_array", max_episode_steps=5)
+    env = RecordVideo(hand, str(tmp_path))
     env.reset(seed=0)
-    episode(env, actions(env, 40))
+    episode(env, actions(env, 5))
     env.close()
-    assert clips == [(41, pytest.approx(10))]
+    assert clips == [(6, pytest.approx(10))]
     assert list(tmp_path.iterdir())
 
 

@@ -18,6 +18,7 @@ from morph_core.tasks.hand import (
     Hand,
 )
 from morph_core.tasks.pen_press import PenPress
+from morph_core.tasks.printed import LINKS, Moments, link_inertial
 
 HAND = Hand(4, 0.12)
 TASK = PenPress()
@@ -131,8 +132,25 @@ def test_every_corner_of_the_box_can_be_simulated() -> None:
 def test_a_finger_is_as_long_and_as_heavy_as_its_design_says(phi: np.ndarray) -> None:
     model = HAND.spec(phi, "hand").compile()
     for i, length in enumerate(phi[4:], 1):
-        for part in ("proximal", "distal"):
+        for part in LINKS:
             assert 2 * model.geom(f"finger_{i}_{part}").size[1] == pytest.approx(length)
+            body, inertial = model.body(f"finger_{i}_{part}"), link_inertial(part, float(length))
+            assert body.mass == pytest.approx(inertial.mass)
+            assert body.ipos == pytest.approx(inertial.com)
     mass = [model.body(f"finger_{i}_distal").mass[0] for i in range(1, 5)]
     assert np.array_equal(np.argsort(mass, kind="stable"), np.argsort(phi[4:], kind="stable"))
     assert min(mass) > 0
+
+
+def test_the_inertia_of_a_box_is_that_of_the_textbook_wherever_it_stands() -> None:
+    side, middle, density = np.array([0.1, 0.2, 0.3]), np.array([1.0, -2.0, 3.0]), 1000.0
+    volume = float(np.prod(side))
+    second = volume * (np.diag(side**2 / 12) + np.outer(middle, middle))
+    box = Moments(volume, volume * middle, second)
+    for factor in (1.0, 2.0):
+        found = box.scaled(factor).inertial(density)
+        mass = density * volume * factor**3
+        assert found.mass == pytest.approx(mass)
+        assert found.com == pytest.approx(factor * middle)
+        expected = np.diag((side**2).sum() - side**2) * factor**2 * mass / 12
+        assert found.inertia == pytest.approx(expected, abs=1e-9 * mass)

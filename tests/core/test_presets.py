@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from morph_core.catalogue import METHODS, TASKS, make_method, make_task
 from morph_core.config import flattened, paths_of, recorded
-from morph_core.presets import PRESETS
+from morph_core.presets import PRESETS, with_preset
 
 TASK_NAMES = ("reacher", "pen_press", "mouse_click")
 
@@ -58,6 +58,13 @@ def test_another_part_than_the_presets_has_its_own_settings() -> None:
     method: Any = make_method(None, make_task("reacher"), {"exploration": "design"}, "paper")
     assert method.exploration == type(method.exploration)()
     assert method.projection == "one_sided"
+
+
+@pytest.mark.parametrize(("exploration", "kappa"), [("design", 3.0), ("gaussian", None)])
+def test_what_the_preset_says_of_a_part_goes_with_that_part(exploration: str, kappa: float | None) -> None:
+    laid = with_preset("paper", "morph", make_task("pen_press"), {"exploration": exploration})
+    assert laid.get("exploration.kappa") == kappa
+    assert laid["search"] == "cma_debiased"
 
 
 def test_an_unknown_preset_lists_the_choices() -> None:

@@ -64,6 +64,15 @@ def test_events_come_back_in_order_with_rising_seq(tmp_path: Path) -> None:
     assert [e.iteration for e in events] == [0, 1, 2, 3]
 
 
+def test_nothing_is_left_of_a_torn_line_that_is_longer_than_the_next(tmp_path: Path) -> None:
+    folder = make_run(tmp_path)
+    folder.events.write_bytes(b'{"torn": "' + 9999 * b"x")
+    log = EventLog(folder)
+    written = log.append(progress(1))
+    log.close()
+    assert folder.events.read_bytes() == protocol.encode(written) + b"\n"
+
+
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(cut=st.integers(1, 900))
 def test_a_log_cut_anywhere_keeps_its_whole_events_and_goes_on(tmp_path: Path, cut: int) -> None:

@@ -106,8 +106,11 @@ def hall(shared: Served) -> Iterator[Hall]:
 
 
 def events_of(lines: Iterator[str]) -> Iterator[tuple[str, Any]]:
-    kind = ""
+    """Yield kind and content of each event; whoever waits for one that does not come is not left waiting."""
+    kind, silences = "", 0
     for line in lines:
+        silences += line.startswith(":")
+        assert silences < 3, "nothing more is said"
         if line.startswith("event: "):
             kind = line.removeprefix("event: ")
         elif line.startswith("data: "):

@@ -1,5 +1,6 @@
 """A bundle proves that it is one robot: for any design, read again from its files; and a broken one is found out."""
 
+import hashlib
 import importlib
 import importlib.util
 import io
@@ -34,7 +35,8 @@ from studio.export.meshes import Body, Shape, three_mf
 from studio.export.plates import plan_prints, print_files
 from studio.export.policy import Policy, Score
 from studio.export.printers import DEFAULT
-from studio.export.proof import prove, prove_robot, unpack
+from studio.export.proof import check_digests, prove, prove_robot, unpack
+from studio.export.provenance import Provenance
 from studio.export.servos import ServoTable
 from studio.export.trial import Runner, Trial
 from studio.export.urdf import urdf_names
@@ -523,6 +525,21 @@ def test_files_broken_on_purpose_are_found_out(
     for path, _, finding in breaks:
         assert any(finding in fault for fault in faults), (path, faults)
     assert "provenance.json: digests" in faults
+
+
+def test_a_file_that_is_gone_and_one_that_nobody_named_are_told() -> None:
+    provenance = msgspec.json.encode(
+        Provenance(
+            run="r", iteration=1, task="t", task_options={}, method="m", seed=0, config={}, versions={},
+            export_versions={}, git_revision=None, git_dirty=None, parent=None, created=0.0, commands=[],
+            commands_sha256="", sha256={"a.xml": hashlib.sha256(b"a").hexdigest()}, checks=[], exported="",
+        )
+    )  # fmt: skip
+    assert check_digests({"provenance.json": provenance, "a.xml": b"a"}).passed
+    for files, name in (({}, "a.xml"), ({"a.xml": b"b"}, "a.xml"), ({"a.xml": b"a", "b.xml": b""}, "b.xml")):
+        check = check_digests({"provenance.json": provenance, **files})
+        assert not check.passed
+        assert name in check.detail
 
 
 def test_verify_prints_a_table_and_fails_for_a_part_broken_on_purpose(bundle: Bundle, tmp_path: Path) -> None:
