@@ -36,7 +36,7 @@ class Passes:
 def clip_gradients(parameters: Iterable[nn.Parameter], largest: float) -> None:
     """Scale the gradients down where the norm of all of them together is larger than `largest`.
 
-    It is what `nn.utils.clip_grad_norm_` does, which spends half of its time on which device holds which gradient.
+    It does what `nn.utils.clip_grad_norm_` does, which takes half of its time to sort the gradients by device and type.
     """
     gradients = [p.grad for p in parameters if p.grad is not None]
     norm = torch.linalg.vector_norm(torch.stack([torch.linalg.vector_norm(gradient) for gradient in gradients]))

@@ -721,9 +721,9 @@ MUTANTS: tuple[Mutant, ...] = (
         ("None if (further or until) is not None else self._record.env_steps", "self._record.env_steps"),
     ),
     *_of(
-        f"{CORE}/train.py", "core/test_train.py::test_the_end_that_a_budget_sets_is_foreseen",
-        ("max(0, self._budget - self._env_steps)", "self._budget"),
-        ("self._pace.env_steps or self._longest_iteration", "1"),
+        f"{CORE}/pace.py", "core/test_pace.py",
+        ("max(0, self._budget - env_steps)", "self._budget"),
+        ("self.pace.env_steps or self._longest_iteration", "1"),
     ),
     # --- what was read of runs at rest ---
     *_of(
@@ -740,11 +740,11 @@ MUTANTS: tuple[Mutant, ...] = (
         ("history.heartbeat and history.status in AT_REST", "history.status in AT_REST"),
     ),
     *_of(
-        f"{CORE}/train.py",
-        "core/test_train.py::test_searches_are_expected_to_end_where_success_freezes_phi",
-        ("min(last, self._freezes_at)", "last"),
+        f"{CORE}/pace.py", "core/test_pace.py",
+        ("min(last, self._freezes_at(done))", "last"),
         ("or not method.freezes", ""),
-        ("self._iteration + _SEARCHED * left", "_SEARCHED * left"),
+        ("or self._budget is not None", ""),
+        ("done + _SEARCHED * left", "_SEARCHED * left"),
     ),
     *_of(
         f"{CORE}/pace.py", "core/test_pace.py",
