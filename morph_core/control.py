@@ -8,15 +8,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from morph_core.networks import LARGEST_STD, SMALLEST_STD, Critic, Policy, log_normal, minibatches
+from morph_core.networks import LARGEST_STD, SMALLEST_STD, Critic, Policy, log_normal_of, minibatches
 from morph_core.parts import Ppo, Schedule
-from morph_core.passes import Passes
+from morph_core.passes import Passes, clip_gradients
 from morph_core.rollout import Rollout, advantages
 from morph_core.task import Task
 
 if TYPE_CHECKING:
     from morph_core.state import State
 
+_HALF = torch.tensor(0.5)
 REACHED = 0.02
 """Smallest share of an iteration's episodes with which a milestone counts as reached."""
 
@@ -99,8 +100,8 @@ class Control:
                 self._set_policy_gradient(mean, some)
                 value_error = value.forward(told.index_select(0, index)) - some.value_target[:, None]
                 value.backward(value_error * (1 / len(some)))  # of half the mean square
-                nn.utils.clip_grad_norm_(of_policy, ppo.max_grad_norm)
-                nn.utils.clip_grad_norm_(of_critic, 2 * ppo.max_grad_norm)
+                clip_gradients(of_policy, ppo.max_grad_norm)
+                clip_gradients(of_critic, 2 * ppo.max_grad_norm)
                 self.optimizer.step()
         policy.limit_std(self._schedule.geometric(ppo.std, ppo.std_end, age))
 
@@ -120,20 +121,20 @@ class Control:
     def _set_policy_gradient(self, passes: Passes, batch: Batch) -> None:
         """Set the gradient of PPO's loss, the negative clipped surrogate less the entropy bonus, in the policy."""
         clip, log_std, advantage = self._ppo.clip_coef, self.policy.log_std, batch.advantage
-        mean, std = passes.forward(batch.observation), self.policy.std
-        ratio = (log_normal(batch.action, mean, std) - batch.log_prob).exp()
+        free = log_std.exp()
+        std = free.clamp(SMALLEST_STD, LARGEST_STD)
+        u = (batch.action - passes.forward(batch.observation)).div_(std)
+        ratio = (log_normal_of(u, std) - batch.log_prob).exp_()
         limited = ratio.clamp(1 - clip, 1 + clip)
         # The smaller of both pulls; of two equal ones half, the other half being the limited one's, inside the clip.
-        pulls = torch.heaviside(limited * advantage - ratio * advantage, torch.tensor(0.5))
+        pulls = torch.heaviside(limited * advantage - ratio * advantage, _HALF)
         pulls.masked_fill_(limited == ratio, 1.0)
         slope = advantage * (-1 / len(batch)) * ratio * pulls  # dL / dlog pi
-        slope = slope[:, None].repeat(1, mean.shape[1])  # for each action, as autograd adds them up
-        u = (batch.action - mean) / std  # dlog pi / dmean = u / std, dlog pi / dstd = (u^2 - 1) / std
-        pull = slope * u
+        slope = slope[:, None].repeat(1, u.shape[1])  # for each action, as autograd adds them up
+        pull = slope * u  # dlog pi / dmean = u / std, dlog pi / dstd = (u^2 - 1) / std
         passes.backward(pull / std)
-        of_std = (pull * (u / std)).sum(0) - slope.sum(0) / std
-        inside = (log_std.exp() >= SMALLEST_STD) & (log_std.exp() <= LARGEST_STD)
-        log_std.grad = of_std * inside * log_std.exp() - self._ppo.entropy_coef
+        of_std = pull.mul_(u.div_(std)).sum(0) - slope.sum(0) / std
+        log_std.grad = of_std * (free == std) * free - self._ppo.entropy_coef
 
     def learn(self, state: "State", rollout: Rollout, iteration: int) -> np.ndarray:
         """Line 3 for theta: learn from a rollout, and start afresh after being stuck for too long.

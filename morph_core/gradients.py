@@ -30,10 +30,11 @@ def cosine(g_task: Tensor, g_hw: Tensor) -> float:
 
 
 def project(g_task: Tensor, g_hw: Tensor, rule: Projection) -> Tensor:
-    """Return g_task, where it conflicts with g_hw projected on the plane normal to it.
+    """Return the flat g_task; where it conflicts with g_hw, projected on the plane normal to that, unless the rule is
+    `none`.
 
     `as_printed` divides by ||g_hw|| as the paper prints it: a projection only where that norm is 1. `one_sided`
-    divides by its square, as the paper's words and PCGrad's authors have it.
+    divides by its square, as the paper's words and PCGrad (Yu et al. 2020) have it.
     """
     dot = g_task @ g_hw
     if rule == "none" or dot >= 0:

@@ -27,10 +27,14 @@ class ProxyUpdate:
     """What happened to psi in one iteration."""
 
     divergence: float
+    """D: mean squared distance of both hardware models, in squared units of z, over the gradient steps."""
     cosine: float
+    """S_c of g_task, before it is projected, and g_hw: mean over the gradient steps."""
     cosine_negative: float
     """Share of the gradient steps with a negative cosine."""
     cosine_by_parameter: list[float | None] | None
+    """How both gradients agree along dz/dphi of each design parameter, after the last step; None where Hw-Phy is not
+    differentiable."""
 
 
 class HwNN:
@@ -55,7 +59,7 @@ class HwNN:
         return twin
 
     def features(self, s: np.ndarray, a: np.ndarray) -> Tensor:
-        """Return what the network sees of (s, a)."""
+        """Return what the network sees (N, proxy_input_size) float32 of (s, a) (N, ...)."""
         return torch.from_numpy(self._task.proxy_input(s, a))
 
     def last_features(self, s: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -81,7 +85,7 @@ class HwNN:
         self.optimizer.load_state_dict(copy.deepcopy(other.optimizer.state_dict()))
 
     def learn(self, features: Tensor, target: Tensor) -> None:
-        """Take one gradient step on the divergence alone."""
+        """Take one gradient step on the divergence alone, from features (B, proxy_input_size) and z (B, z_size)."""
         self.optimizer.zero_grad()
         divergence(self.proxy(features), target).backward()
         self.optimizer.step()

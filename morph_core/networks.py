@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from morph_core.config import InitialWeights
 from morph_core.parts import Ppo
+from morph_core.passes import Passes
 from morph_core.task import Task
 
 SMALLEST_STD, LARGEST_STD = 0.02, 2.0
@@ -36,7 +37,12 @@ def mlp(
 
 def log_normal(x: Tensor, mean: Tensor, std: Tensor) -> Tensor:
     """Return log N(x; mean, std^2), summed over the last dimension."""
-    return (-0.5 * ((x - mean) / std) ** 2 - torch.log(std) - LOG_SQRT_2PI).sum(-1)
+    return log_normal_of((x - mean) / std, std)
+
+
+def log_normal_of(u: Tensor, std: Tensor) -> Tensor:
+    """Return log N(x; mean, std^2) of u = (x - mean) / std, summed over the last dimension."""
+    return (-0.5 * u**2 - torch.log(std) - LOG_SQRT_2PI).sum(-1)
 
 
 class Policy(nn.Module):
@@ -99,7 +105,7 @@ class Policy(nn.Module):
     def act(self, observation: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
         """Return actions (N, action_size); the mean where `rng` is None."""
         with torch.no_grad():
-            mean = self.mean(torch.from_numpy(observation)).numpy()
+            mean = Passes(self.mean).forward(torch.from_numpy(observation)).numpy()
             if rng is None:
                 return mean
             return mean + self.std.numpy() * rng.standard_normal(mean.shape, dtype=np.float32)

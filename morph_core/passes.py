@@ -1,4 +1,6 @@
-"""A network of tanh layers forward and backward by hand: what autograd computes, to the last bit, in less time."""
+"""A network of tanh layers forward and backward by hand: what torch computes, to the last bit, in less time."""
+
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor, nn
@@ -11,20 +13,33 @@ class Passes:
     """
 
     def __init__(self, net: nn.Module) -> None:
-        self._layers = [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
+        self._layers = [(layer.weight, layer.bias) for layer in net.modules() if isinstance(layer, nn.Linear)]
         self._seen: list[Tensor] = []  # what each layer saw in the last forward pass, (B, inputs) each
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the outputs (B, outputs) for inputs (B, inputs)."""
         self._seen = [x]
-        for layer in self._layers[:-1]:
-            self._seen.append(torch.addmm(layer.bias, self._seen[-1], layer.weight.t()).tanh_())
-        last = self._layers[-1]
-        return torch.addmm(last.bias, self._seen[-1], last.weight.t())
+        for weight, bias in self._layers[:-1]:
+            self._seen.append(torch.addmm(bias, self._seen[-1], weight.t()).tanh_())
+        weight, bias = self._layers[-1]
+        return torch.addmm(bias, self._seen[-1], weight.t())
 
     def backward(self, slope: Tensor) -> None:
         """Set the gradient of every weight from the loss's (B, outputs) in the outputs of the last forward pass."""
-        for layer, seen in zip(reversed(self._layers), reversed(self._seen), strict=True):
-            layer.weight.grad, layer.bias.grad = slope.t().mm(seen), slope.sum(0)
-            if layer is not self._layers[0]:
-                slope = torch.ops.aten.tanh_backward(slope.mm(layer.weight), seen)
+        first, _ = self._layers[0]
+        for (weight, bias), seen in zip(reversed(self._layers), reversed(self._seen), strict=True):
+            weight.grad, bias.grad = slope.t().mm(seen), slope.sum(0)
+            if weight is not first:
+                slope = torch.ops.aten.tanh_backward(slope.mm(weight), seen)
+
+
+def clip_gradients(parameters: Iterable[nn.Parameter], largest: float) -> None:
+    """Scale the gradients down where the norm of all of them together is larger than `largest`.
+
+    It does what `nn.utils.clip_grad_norm_` does, which takes half of its time to sort the gradients by device and type.
+    """
+    gradients = [p.grad for p in parameters if p.grad is not None]
+    norm = torch.linalg.vector_norm(torch.stack([torch.linalg.vector_norm(gradient) for gradient in gradients]))
+    factor = (largest / (norm + 1e-6)).clamp_(max=1.0)
+    for gradient in gradients:
+        gradient.mul_(factor)

@@ -128,7 +128,10 @@ def mean_over_pairs(cost: np.ndarray) -> np.ndarray:
 
 
 def relabel(rollout: Rollout, hw_nn: Hardware, pairs: int, rng: np.random.Generator) -> Dataset:
-    """Line 5: sample (s, a) of the rollout and label them with the updated proxy."""
+    """Line 5: sample (s, a) of the rollout, some of them more than once, and label them with the updated proxy.
+
+    The actions are those that were executed, which the policy chose before line 3 changed it.
+    """
     t, n = rollout.alive.nonzero()
     chosen = rng.integers(len(t), size=pairs)
     s, a = rollout.s[t[chosen], n[chosen]], rollout.a[t[chosen], n[chosen]]

@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import functools
-import math
 import os
 import platform
 import shlex
@@ -31,7 +30,7 @@ from morph_core.history import History, InForce, merit
 from morph_core.inside import NotPlainError, open_plain
 from morph_core.keeping import tidy
 from morph_core.method import Method
-from morph_core.pace import Pace
+from morph_core.pace import Rest
 from morph_core.processor import processor
 from morph_core.protocol import (
     Acknowledged,
@@ -66,9 +65,6 @@ POLL_SECONDS = 0.02
 RETRY_SECONDS = 1.0
 PAUSED = "it keeps its core, on a cluster too: Resume goes on, Stop saves and frees the core"
 _LEARNING = "collecting and learning"
-_SEARCHED = 0.6
-"""Expected share of what is left of a method's schedule over which phi is still searched, where success will freeze it;
-in recorded runs of the three tasks it was 0.5 to 0.8."""
 LAST_ITERATION = 10**9
 """Largest number of iterations that a trainer can be asked for."""
 SHOWN_DESIGNS = 64
@@ -88,17 +84,14 @@ class Trainer:
         self._status: Status = "starting"
         self._stage, self._message = "loading", ""
         self._stopping = self._step = False
-        self._pace = Pace()
         self._iteration = self._env_steps = 0
         self._cpu_start = time.process_time()  # s, when this run's CPU clock stood at zero
         history = History(folder)
         self._paused = history.paused_by_user
         self._last = history.iteration + further if further is not None else until or self._record.iterations
         self._budget = None if (further or until) is not None else self._record.env_steps
-        self._longest_iteration = 1  # environment steps
-        self._method: Method | None = None
+        self._rest = Rest(self._last, self._budget, self._record.final_episodes)
         self._state: State | None = None
-        self._is_searching, self._collected_in, self._learnt_in = True, 0.0, 0.0
         self._measured = {event.iteration for event in history.evaluations if event.final}
         self._answered = {event.id for event in history.acknowledged}
         self._best: Evaluation | None = None
@@ -117,9 +110,9 @@ class Trainer:
         task = self._task
         method = read_method(self._record)
         method.check(task)
-        self._longest_iteration = method.trajectories * task.horizon
+        self._rest.plan(method, task.horizon)
         state = self._load(task, method)
-        self._method, self._state = method, state
+        self._state = state
         if not self._is_done(state):
             self._enter("running", "fitting the proxy" if state.proxy and not state.fitted else _LEARNING)
             self._between_iterations(state)
@@ -130,7 +123,7 @@ class Trainer:
             _refuse_damage(state)
             for progress in method.iterations(task, state):
                 searching = state.searched_in if progress.search_cost is not None else None
-                self._pace.took(time.monotonic() - began, state.env_steps - steps, searching)
+                self._rest.pace.took(time.monotonic() - began, state.env_steps - steps, searching)
                 self._take_in(task, method, state, progress)
                 self._between_iterations(state)
                 if self._stopping or self._is_done(state):
@@ -190,12 +183,13 @@ class Trainer:
 
     def beat(self) -> None:
         """Rewrite the heartbeat; where the disk does not take this one, it will take a later one."""
-        remaining = self._remaining_iterations()
+        remaining = self._rest.iterations(self._iteration, self._env_steps)
+        seconds = None if self._status in SAID_ENDED else self._rest.seconds(self._iteration, remaining)
         beat = Heartbeat(
             host=platform.node(), pid=os.getpid(), process_started=self._process_started,
             time=time.time(), status=self._status, stage=self._stage, message=self._message,
             iteration=self._iteration, iterations=self._iteration + remaining,
-            env_steps=self._env_steps, eta_seconds=self._seconds_left(remaining),
+            env_steps=self._env_steps, eta_seconds=seconds,
         )  # fmt: skip
         if self._heartbeat is not None:
             with contextlib.suppress(OSError):
@@ -217,46 +211,6 @@ class Trainer:
         if state.iteration >= self._last:
             return f"all {self._last} iterations are done"
         return f"the budget of {self._budget:,} environment steps is spent after iteration {state.iteration}"
-
-    def _remaining_iterations(self) -> int:
-        """Return how many iterations are left, by the last ones' environment steps where a budget may end the run."""
-        remaining = max(0, self._last - self._iteration)
-        if self._budget is None:
-            return remaining
-        steps = self._pace.env_steps or self._longest_iteration
-        return min(remaining, math.ceil(max(0, self._budget - self._env_steps) / max(1.0, steps)))
-
-    @property
-    def _freezes_at(self) -> float:
-        """Return the iteration after which success is expected to have frozen phi, which ends the searches, and all
-        that serves them.
-
-        When it will is guessed. Where a budget of steps ends the run nothing is taken off: success may make episodes
-        shorter, too, and so iterations more.
-        """
-        method = self._method
-        if method is None or self._budget is not None or not method.freezes:
-            return math.inf
-        left = method.schedule.iterations - self._iteration
-        return self._iteration + _SEARCHED * left if left > 0 else math.inf
-
-    def _seconds_left(self, remaining: int) -> float | None:
-        """Return the seconds that so many iterations will take, with the searches and evaluations among them."""
-        if self._method is None or self._status in SAID_ENDED:
-            return None
-        evaluation, every = self._method.evaluation, self._method.search_interval
-        first, last = self._iteration, self._iteration + remaining
-        frozen_at = min(last, self._freezes_at) if self._is_searching else last
-        searches = frozen_at // every - first // every if self._is_searching else 0
-        evaluations = last // evaluation.interval - first // evaluation.interval
-        evaluations += remaining > 0 and last % evaluation.interval > 0  # each run ends with one
-        at_the_end = self._record.final_episodes / evaluation.episodes
-        shares = 2 * evaluation.episodes / self._method.trajectories  # of an evaluation, in iterations' trajectories
-        on_hw_phy = min(self._collected_in, (self._pace.evaluation or math.inf) / shares)
-        return self._pace.left(
-            remaining, searches, evaluations + at_the_end, expected=shares * self._collected_in,
-            settled=last - frozen_at, alone=on_hw_phy + self._learnt_in,
-        )  # fmt: skip
 
     # --- one iteration ---
 
@@ -319,8 +273,7 @@ class Trainer:
         if not np.isfinite(progress.episode_return):
             raise FloatingPointError("the mean return became infinite or NaN")
         self._iteration, self._env_steps = state.iteration, state.env_steps
-        self._is_searching = not state.frozen
-        self._collected_in, self._learnt_in = state.collected_in, state.learnt_in
+        self._rest.take_in(state)
         progress = msgspec.structs.replace(
             progress, relabelled_steps=state.relabelled_steps, search_steps=state.search_steps,
             diverged=state.diverged, cpu_seconds=self._cpu_seconds,
@@ -333,7 +286,7 @@ class Trainer:
             self._set("running", "saving")
             self._checkpoint(state)
             tidy(self._folder, method.evaluation.interval, self._best.iteration if self._best else None)
-            self._pace.evaluated(time.monotonic() - began)
+            self._rest.pace.evaluated(time.monotonic() - began)
         self._set("running", _LEARNING)
 
     def _evaluate(self, task: Task, method: Method, state: State) -> None:

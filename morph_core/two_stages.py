@@ -12,6 +12,7 @@ from morph_core.control import Batch, Control
 from morph_core.design import DesignSpace
 from morph_core.networks import LARGEST_STD, SMALLEST_STD, Critic, log_normal, minibatches, mlp
 from morph_core.parts import Ppo, Schedule
+from morph_core.passes import clip_gradients
 from morph_core.rollout import Rollout, advantages
 from morph_core.task import Task
 
@@ -180,7 +181,7 @@ class TwoStageControl(Control):
                 self._loss(batch, index).backward()
                 for module in self.modules.values():
                     largest = 2 * ppo.max_grad_norm if module is self.critic else ppo.max_grad_norm
-                    nn.utils.clip_grad_norm_(module.parameters(), largest)
+                    clip_gradients(module.parameters(), largest)
                 self.optimizer.step()
         self.policy.limit_std(self._schedule.geometric(ppo.std, ppo.std_end, age))
 

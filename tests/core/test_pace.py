@@ -2,12 +2,16 @@
 
 import math
 import random
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from morph_core.pace import Pace
+from morph_core.catalogue import make_method
+from morph_core.pace import Pace, Rest
+from morph_core.state import State
 
 
 @given(
@@ -76,3 +80,27 @@ def test_before_the_first_iteration_nothing_is_known_and_after_it_something() ->
     pace.took(2.0, 64)
     assert (pace.left(10), pace.env_steps) == (20.0, 64.0)
     assert pace.left(10, searches=2, evaluations=1, expected=3.0) == 23.0
+
+
+@pytest.mark.parametrize(
+    ("freeze_success", "budget", "seconds"), [(0.5, None, 54 * 3 + 36 * 0.25), (0.5, 9600, 90 * 3), (0.0, None, 90 * 3)]
+)
+def test_searches_are_expected_to_end_where_success_freezes_phi(
+    freeze_success: float, budget: int | None, seconds: float
+) -> None:
+    settings = {"freeze_success": freeze_success, "design_interval": 1, "schedule.iterations": 100}
+    state = SimpleNamespace(frozen=False, collected_in=0.0, learnt_in=0.25)
+    rest = Rest(100, budget, final_episodes=0)
+    rest.plan(make_method("morph", None, settings), 10)
+    rest.pace.took(3.0, 64, searching=2.0)
+    rest.take_in(cast(State, state))
+    assert rest.seconds(10, 90) == pytest.approx(seconds)
+
+
+def test_of_a_run_with_a_budget_as_many_iterations_are_left_as_its_steps_allow() -> None:
+    rest = Rest(100, 1000, final_episodes=0)
+    rest.plan(make_method("no_hw_opt", None, {"trajectories": 4}), 50)
+    assert rest.iterations(0, 0) == 5  # of the longest episodes
+    rest.pace.took(1.0, 100)
+    assert (rest.iterations(1, 100), rest.iterations(1, 950), rest.iterations(9, 1100)) == (9, 1, 0)
+    assert rest.iterations(98, 100) == 2

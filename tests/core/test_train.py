@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from morph_core import protocol
-from morph_core.catalogue import make_method, make_task, read_method
+from morph_core.catalogue import make_method, make_task
 from morph_core.checkpoint import load_newest
 from morph_core.history import History
 from morph_core.protocol import Acknowledged, AnyCommand, AnyEvent, StateChanged
@@ -142,19 +142,6 @@ def test_the_end_that_a_budget_sets_is_foreseen(tmp_path: Path, monkeypatch: pyt
     etas = [beat.eta_seconds for beat in loaded if beat.eta_seconds is not None]
     assert etas[0] > 0
     assert etas[-1] == 0
-
-
-@pytest.mark.parametrize(("freeze_success", "seconds"), [(0.5, 54 * 3 + 36 * 0.25), (0.0, 90 * 3)])
-def test_searches_are_expected_to_end_where_success_freezes_phi(
-    tmp_path: Path, freeze_success: float, seconds: float
-) -> None:
-    settings = {"freeze_success": freeze_success, "design_interval": 1, "schedule.iterations": 100}
-    folder = make_run(tmp_path, method=small_method("morph", settings), iterations=100)
-    trainer = Trainer(folder)
-    trainer._method, trainer._iteration = read_method(folder.record()), 10
-    trainer._learnt_in = 0.25
-    trainer._pace.took(3.0, 64, searching=2.0)
-    assert trainer._seconds_left(90) == pytest.approx(seconds)
 
 
 def test_how_often_a_run_is_evaluated_does_not_change_what_is_learnt(tmp_path: Path) -> None:
