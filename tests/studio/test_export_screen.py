@@ -206,7 +206,7 @@ def test_no_reader_sees_what_asks_for_more_than_a_bundle_needs(
 
     if "bomb" in ask:
         monkeypatch.setattr("studio.export.screen.MAX_BYTES", 8 << 20)
-    for reader in ("verify_folder", "compare_physics", "_prove_physics"):
+    for reader in ("verify_folder", "check_anew", "check_parts"):
         monkeypatch.setattr(f"studio.export.proof.{reader}", never)
     found = faults(bundle | {path: changed})
     assert found
