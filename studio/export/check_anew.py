@@ -51,7 +51,7 @@ _LOOKS = (
 )  # fmt: skip
 """How those of them end that only tell how it looks, or where MuJoCo keeps something."""
 _BY_NAME = {"site": "site_", "sensor": "sensor_", "key": "key_"}
-"""Kinds of which a file may have more than the export has, at the end of its own."""
+"""Kinds of which a file may have more than the export has: sites anywhere, others at the end, as they go by number."""
 _NAMED = ("body", "jnt", "tendon", "actuator", "eq")
 """Kinds that go by their names, in their order."""
 
@@ -71,7 +71,7 @@ def check_anew(
             checks += check_model(path, anew[path], files)
     for path in (f"{robot}.urdf", *kinds["ros"]):
         if path in files:
-            checks.append(_check_shown(path, anew.get(path), files[path]))
+            checks += _check_urdf(path, anew.get(path), files[path])
     if "control.json" in files:
         checks.append(check_json("control.json", json.loads(anew["control.json"]), files["control.json"]))
     return checks
@@ -89,7 +89,7 @@ def check_model(path: str, anew: bytes, files: Mapping[str, bytes]) -> list[Chec
 
 def model_differences(known: mujoco.MjModel, found: mujoco.MjModel) -> dict[str, float]:
     """Return the largest difference of two models by field; infinity where one has more of something."""
-    off = {"meaninertia": abs(known.stat.meaninertia - found.stat.meaninertia)}
+    off: dict[str, float] = {}
     for option in (option for option in dir(known.opt) if not option.startswith("_")):
         off[option] = _apart(getattr(known.opt, option), getattr(found.opt, option))
     rows = {kind: _rows_by_name(known, found, kind) for kind in _BY_NAME}
@@ -142,9 +142,9 @@ def _other_names(known: mujoco.MjModel, found: mujoco.MjModel) -> Iterator[str]:
             if one != other:
                 yield f"the {kind.replace('jnt', 'joint')} {one} is called {other or 'nothing'}"
     for kind in _BY_NAME:
-        own = _names(known, kind)
-        if _names(found, kind)[: len(own)] != own:
-            yield f"it begins with other {kind}s than {', '.join(own)}"
+        own, there = _names(known, kind), _names(found, kind)
+        if (not set(own) <= set(there)) if kind == "site" else there[: len(own)] != own:
+            yield f"it has not first of all the {kind}s {', '.join(own)}"
 
 
 def _apart(one: Any, other: Any) -> float:
@@ -155,15 +155,31 @@ def _apart(one: Any, other: Any) -> float:
         return float(np.where(one == other, 0.0, np.abs(one - other)).max(initial=0.0))
 
 
-def _check_shown(path: str, anew: bytes | None, content: bytes) -> Check:
-    """Compare the shapes that a URDF shows: their files, scales, sizes and places."""
-    name = f"{path}: what is shown"
+def _check_urdf(path: str, anew: bytes | None, content: bytes) -> list[Check]:
+    """Compare the shapes that a URDF shows, by their files, scales, sizes and places, and how its links are joined."""
     if anew is None:
-        return Check(name, math.inf, 0.0, "no export has it under this name")
+        return [Check(f"{path}: what is shown", math.inf, 0.0, "no export has it under this name")]
     if path.startswith(f"{FOLDER}/"):
         anew, content = plain_urdf(path, anew), plain_urdf(path, content)
-    known, found = (_shown(ElementTree.fromstring(text)) for text in (anew, content))
-    return _counted(name, [link for link in known.keys() | found.keys() if known.get(link) != found.get(link)])
+    known, found = (ElementTree.fromstring(text) for text in (anew, content))
+    shown, joined = ((tell(known), tell(found)) for tell in (_shown, _joined))
+    return [
+        _compare_tables(f"{path}: what is shown", *shown),
+        _compare_tables(f"{path}: how links are joined", *joined),
+    ]
+
+
+def _compare_tables(name: str, known: Mapping[str, object], found: Mapping[str, object]) -> Check:
+    return _counted(name, [key for key in known.keys() | found.keys() if known.get(key) != found.get(key)])
+
+
+def _joined(root: ElementTree.Element) -> dict[str, object]:
+    """Return the type, parent and child of each joint of a URDF."""
+    ends = {joint: [joint.find(end) for end in ("parent", "child")] for joint in root.findall("joint")}
+    return {
+        joint.get("name", ""): [joint.get("type"), *("" if end is None else end.get("link") for end in found)]
+        for joint, found in ends.items()
+    }
 
 
 def _shown(root: ElementTree.Element) -> dict[str, list[object]]:

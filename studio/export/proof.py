@@ -61,7 +61,7 @@ SCENE_ALLOWED = 1e-9
 _DYNAMICS = (
     "body_mass", "body_ipos", "body_iquat", "body_inertia", "body_pos", "body_quat", "body_gravcomp", "jnt_type",
     "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "dof_armature", "dof_damping", "actuator_gainprm",
-    "actuator_biasprm", "actuator_forcerange", "actuator_ctrlrange", "sensor_type",
+    "actuator_biasprm", "actuator_forcerange", "actuator_ctrlrange",
 )  # fmt: skip
 _TOUCH = (
     "geom_size", "geom_pos", "geom_quat", "geom_friction", "geom_bodyid", "geom_type", "geom_contype",
@@ -135,6 +135,9 @@ def check_onnx(files: Mapping[str, bytes], task: Task, phi: np.ndarray) -> Check
     try:
         policy, program = read_policy(files["policy.npz"]), robot_of(task).program(phi)
         off = onnx_policy.off_from_arrays(files[onnx_policy.FILE], policy, program)
+        facts = {"task": task.name, "control_step_s": task.control_dt}
+        if others := onnx_policy.other_facts(files[onnx_policy.FILE], program, facts):
+            return Check(name, math.inf, onnx_policy.ALLOWED, f"it tells another {', '.join(others)}")
     except Exception as error:  # whatever a reader throws at a broken file is the finding
         return Check(name, math.inf, onnx_policy.ALLOWED, f"can't be compared: {str(error) or type(error).__name__}")
     return Check(name, off, onnx_policy.ALLOWED, f"{onnx_policy.PAIRS} observations")
@@ -297,6 +300,8 @@ def _compare_scenes(simulated: mujoco.MjModel, reloaded: mujoco.MjModel) -> Chec
         one, other = np.asarray(getattr(simulated, field)), np.asarray(getattr(reloaded, field))
         off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
     off["timestep"] = abs(simulated.opt.timestep - reloaded.opt.timestep)
+    types = [{m.sensor(i).name: float(m.sensor_type[i]) for i in range(m.nsensor)} for m in (simulated, reloaded)]
+    off["sensors"] = max((abs(kind - types[1].get(name, math.inf)) for name, kind in types[0].items()), default=0.0)
     return worst(name, SCENE_ALLOWED, off | _touching_off(simulated, reloaded))
 
 
