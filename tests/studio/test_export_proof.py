@@ -22,6 +22,7 @@ import pytest
 import trimesh
 from conftest import FEW, design_of, make_hand_run
 from safetensors.numpy import save_file
+from trimesh.exchange.gltf import export_glb
 
 from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
@@ -510,7 +511,7 @@ def with_a_turned_node(content: bytes) -> bytes:
     scene = trimesh.load_scene(io.BytesIO(content), file_type="glb")
     pose = scene.graph["finger_1_distal"][0] @ trimesh.transformations.rotation_matrix(0.1, [1, 0, 0])
     scene.graph.update("finger_1_distal", matrix=pose)
-    return scene.export(file_type="glb")
+    return export_glb(scene)
 
 
 def in_another_size(content: bytes) -> bytes:
