@@ -83,13 +83,13 @@ def onnx_file(policy: Policy, program: Program, facts: Mapping[str, object]) -> 
 
 
 def other_facts(content: bytes, program: Program, facts: Mapping[str, object]) -> list[str]:
-    """Return which of the `facts` among the metadata of a policy.onnx are others, or what its entries are; needs the
-    extra `onnx`."""
+    """Return which of the `facts` among the metadata of a policy.onnx are others, or what its entries are; what it
+    does not tell is no other. Needs the extra `onnx`."""
     import onnx
 
     said = {p.key: p.value for p in onnx.load_model_from_string(_screened(content)).metadata_props}
     known = {"observation": _told(program.sees), "action": _told(program.gives)} | _in_words(facts)
-    return sorted(key for key, value in known.items() if said.get(key) != value)
+    return sorted(key for key, value in known.items() if said.get(key, value) != value)
 
 
 def _in_words(facts: Mapping[str, object]) -> dict[str, str]:
