@@ -12,9 +12,9 @@ from studio.cli.arguments import Count, UsageError, parse
 from studio.cli.output import write_json
 
 NOT_PROVED = (
-    "Not proved: who made the bundle and when (its digests come with it), how its shapes that are only shown look "
-    "(STEP files and pictures of plates among them), and what README.txt, report.html, BOM.csv, servos.json and "
-    "control.json say."
+    "Not proved: who made the bundle and when (its digests come with it), colours and pictures, STEP files, what the "
+    "policy learned beyond its success, and what README.txt, report.html, BOM.csv, servos.json and the tables of "
+    "plates say beyond pieces and their sizes."
 )
 """What a bundle on which all checks agree may be wrong in all the same."""
 

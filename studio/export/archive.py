@@ -1,6 +1,7 @@
 """Zip files that are the same whenever the same files go into them, and are read without trust."""
 
 import io
+import json
 import os
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -22,6 +23,11 @@ LONGEST_PATH = 255
 """Largest number of characters in the path of a file of an archive: every folder on the way there is looked at."""
 MOST_ENTRIES = 10 * MAX_FILES
 """Largest number of such entries in a file, in the archives inside it too: the table is read as a whole."""
+
+
+def json_file(document: object) -> bytes:
+    """Return a document as a file of JSON that people can read."""
+    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
 def zipped(files: Mapping[str, bytes], compress: bool = True) -> bytes:

@@ -1,7 +1,6 @@
 """The chosen design as one zip or folder: what other tools read, the numbers behind it, and where they come from."""
 
 import dataclasses
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,14 +19,13 @@ from morph_core.run_folder import RunFolderError
 from morph_core.task import Task
 from morph_core.tasks.servos import ServoName
 from studio.export import onnx_policy, servos
-from studio.export.archive import zipped
+from studio.export.archive import json_file, zipped
 from studio.export.check import Check
-from studio.export.control import control_settings
 from studio.export.design_file import FILE, Design, PartEntry, Value
 from studio.export.errors import ExportError
 from studio.export.materials import bill_csv, bill_html, bill_of_materials
 from studio.export.meshes import glb
-from studio.export.mjcf import oldest_reader, write_mjcf
+from studio.export.mjcf import oldest_reader
 from studio.export.plates import Prints, plan_prints, print_files, printers_for
 from studio.export.policy import Policy, Score, policy_at, policy_files
 from studio.export.printers import DEFAULT, printer_of
@@ -35,16 +33,16 @@ from studio.export.prints_page import prints_html
 from studio.export.proof import PROVENANCE, check_onnx, prove_robot
 from studio.export.provenance import provenance_of
 from studio.export.report import Section, Sheet, report
-from studio.export.ros import package_name, ros_package
+from studio.export.ros import package_name
 from studio.export.servos import ServoTable, check_servo, servo_html, verdict
+from studio.export.simulated import simulated_files
 from studio.export.step import step_files
 from studio.export.trial import Runner, Trial, is_long
-from studio.export.urdf import write_urdf
 from studio.export.views import views_of
-from studio.export.zero import hold_keyframes, moved_zero, servo_targets
+from studio.export.zero import moved_zero
 from studio.robots.chooser import robot_of
 from studio.robots.deviation import Deviation, deviation
-from studio.robots.parts import Part, colours_of, dress, stl_files
+from studio.robots.parts import Part, colours_of
 from studio.robots.robot import Robot
 
 FORMATS = ("mjcf", "urdf", "stl", "3mf", "glb")
@@ -152,7 +150,7 @@ def _build(
     if not all(check.passed for check in checks):
         raise ExportError("; ".join(str(check) for check in checks if not check.passed))
     scores = [*([msgspec.structs.replace(came.score, where="at export")] if came.score else []), *promised]
-    files[FILE] = _json(msgspec.to_builtins(design))
+    files[FILE] = json_file(msgspec.to_builtins(design))
     oldest = _oldest(files)
     sheet = Sheet(
         title=task.title, design=design, robot=robot, parts=parts, views=views,
@@ -163,7 +161,7 @@ def _build(
     files |= _papers(sheet, phi, prints, off, oldest, came.table, wanted)
     said, bed = [str(check) for check in checks], prints.printer.name if prints else ""
     provenance = provenance_of(history, iteration, files, said, scores, oldest, bed)
-    files[PROVENANCE] = _json(msgspec.to_builtins(provenance))
+    files[PROVENANCE] = json_file(msgspec.to_builtins(provenance))
     return files, checks
 
 
@@ -199,39 +197,6 @@ def robot_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Seq
     return simulated_files(task, phi, parts, formats) | seen_files(task, phi, parts, formats)
 
 
-def simulated_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
-    """Return the robot in the formats of simulators, and its parts as STL, which those show."""
-    robot = robot_of(task)
-    spec, scene = task.spec(phi), task.scene(phi)
-    _add_start(task, scene, phi)
-    hold_keyframes(spec)
-    hold_keyframes(scene)
-    zero = robot.zero(phi)
-    spec, scene = moved_zero(spec, zero), moved_zero(scene, zero)
-    model, name = spec.compile(), robot.file_name
-    worn = parts if robot.printed else []
-    shown = stl_files(worn)
-    files: dict[str, bytes] = {}
-    if "stl" in formats:
-        files |= stl_files(parts)
-    if {"mjcf", "urdf", "ros"} & set(formats):
-        files |= shown
-    if "mjcf" in formats:
-        plain = write_mjcf(dress(spec, worn, shown), f"{name}.xml", "meshes", shown)
-        files |= plain | write_mjcf(dress(scene, worn, shown), "scene.xml", "meshes_scene", shown)
-        files[f"{name}.mjz"] = zipped({"model.xml": plain.pop(f"{name}.xml"), **plain, **shown})
-    if {"urdf", "ros"} & set(formats):
-        visuals = {link: part.stl_path for part in worn for link in part.links}
-        drives = "ros2_control" in formats
-        urdf = write_urdf(model, f"{name}.urdf", task.name, visuals, robot.speeds, drives=drives)
-        if "ros" in formats:
-            size = float(model.stat.extent)
-            files |= ros_package(task.name, name, urdf[f"{name}.urdf"], {**shown, **urdf}, size)
-        files |= urdf if "urdf" in formats else {}
-        files["control.json"] = _json(control_settings(model, scene.compile(), zero))
-    return files
-
-
 def seen_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequence[str]) -> dict[str, bytes]:
     """Return the robot in the formats in which people look at it."""
     files: dict[str, bytes] = {}
@@ -241,14 +206,6 @@ def seen_files(task: Task, phi: np.ndarray, parts: Sequence[Part], formats: Sequ
     if "step" in formats:
         files |= step_files(parts)
     return files
-
-
-def _add_start(task: Task, scene: mujoco.MjSpec, phi: np.ndarray) -> None:
-    """Give the scene a keyframe: a start of the task, which its servos hold."""
-    if any(key.name == "start" for key in scene.keys):
-        return
-    qpos = task.qpos(task.reset(task.hw_phy(phi), 1, np.random.default_rng(0)))[0]
-    scene.add_key(name="start", qpos=qpos, ctrl=servo_targets(scene.compile(), qpos))
 
 
 def _papers(
@@ -268,7 +225,7 @@ def _papers(
     more = [Section("Printed and simulated", f"<p>{escape(off.words)}")] if off else []
     more += [Section("Print it", prints_html(prints))] if prints else []
     if table:
-        papers[servos.FILE] = _json(msgspec.to_builtins(table))
+        papers[servos.FILE] = json_file(msgspec.to_builtins(table))
         more.append(Section("Servos", servo_html(table)))
     if sheet.robot.printed:
         lines = bill_of_materials(sheet.robot, phi, sheet.parts, table.servo if table else wanted, prints)
@@ -406,7 +363,3 @@ def _design(history: History, task: Task, which: str, iteration: int, phi: np.nd
         parameters=parameters,
         parts=[PartEntry(part.name, list(part.links), part.inertial.mass, part.density) for part in parts],
     )
-
-
-def _json(document: object) -> bytes:
-    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False).encode() + b"\n"

@@ -38,19 +38,23 @@ def check_package(files: Mapping[str, bytes], robot: str, task: str, size: float
 def check_drives(path: str, content: bytes, model: mujoco.MjModel) -> Check:
     """Compare the transmissions and ros2_control interfaces of a URDF, where it has any, with those of a model whose
     joints have their zeros where the file has them."""
-    found = list(_drives(ElementTree.fromstring(content)))
-    expected = list(_drives(ElementTree.fromstring(write_urdf(model, path, "", drives=True)[path])))
-    strange = [" ".join(entry) for entry in found if entry not in expected]
+    found = sorted(_drives(ElementTree.fromstring(content)))
+    expected = sorted(_drives(ElementTree.fromstring(write_urdf(model, path, "", drives=True)[path])))
+    known = {entry for block in expected for entry in block}
+    strange = [" ".join(entry) for block in found for entry in block if entry not in known]
     off = bool(found) and found != expected
     return Check(f"{path}: transmissions and interfaces", float(off), 0.0, _listed(strange))
 
 
-def _drives(root: ElementTree.Element) -> Iterator[tuple[str, ...]]:
-    """Yield what a URDF says of drives: tag, attributes and text of each element, numbers without their last digits."""
+def _drives(root: ElementTree.Element) -> Iterator[list[tuple[str, ...]]]:
+    """Yield what each block of a URDF says of drives: tag, attributes and text of each element, numbers without their
+    last digits."""
     for block in (block for kind in DRIVES for block in root.findall(kind)):
+        entries: list[tuple[str, ...]] = []
         for element in block.iter():
             said = (f"{name}={value}" for name, value in sorted(element.attrib.items()))
-            yield element.tag, *said, _rounded((element.text or "").strip())
+            entries.append((element.tag, *said, _rounded((element.text or "").strip())))
+        yield entries
 
 
 def _rounded(word: str) -> str:

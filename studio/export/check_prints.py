@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from manifold3d import Manifold, Mesh64
 
-from studio.export.check import Check
+from studio.export.check import Check, worst
 from studio.export.coupon import NAME as COUPON
 from studio.export.design_file import PartEntry
 from studio.export.pieces import piece_names
@@ -24,7 +24,8 @@ Surface = tuple[np.ndarray, np.ndarray]
 """A closed surface: vertices (V, 3) m and faces (F, 3)."""
 OFF_ALLOWED = 1e-6
 """Largest distance (mm) by which a body may reach out of the printer, and area (mm^2) that may lie over another."""
-
+SIZES_ALLOWED = 0.051
+"""mm: how far a size in the table of pieces, which has tenths, may be from that of the piece."""
 BENT_ALLOWED = 1e-9
 """Largest difference between what a body is turned by and a rotation: nothing on a plate is stretched or mirrored."""
 
@@ -70,9 +71,17 @@ def check_plates(files: Mapping[str, bytes], parts: Sequence[PartEntry], read: C
             out = _outside([body for _, body in _placed(scene)], (math.inf,) * 3)
             checks.append(Check(f"{path}: lies on the bed (mm)", out, OFF_ALLOWED))
             checks.append(Check(f"{path}: turned and moved alone", _bent(scene), BENT_ALLOWED))
+    off = {name: _missized(rows[name], mesh.extents) for name, mesh in shapes.items() if name in rows}
+    checks.append(worst(f"{PIECES}: sizes (mm)", SIZES_ALLOWED, off))
     wrong = list(_miscounted(rows, found, parts))
     checks.append(Check("plates: each piece as often as needed", float(len(wrong)), 0.0, ", ".join(wrong[:3])))
     return checks
+
+
+def _missized(row: Mapping[str, str], extents: np.ndarray) -> float:
+    """Return how far (mm) the size that a row tells is from the extents (3,) of a piece, however it lies."""
+    said = [float(row[side]) for side in ("length_mm", "width_mm", "height_mm")]
+    return float(np.abs(np.sort(said) - np.sort(extents)).max())
 
 
 def _miscounted(

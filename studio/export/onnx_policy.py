@@ -77,10 +77,23 @@ def onnx_file(policy: Policy, program: Program, facts: Mapping[str, object]) -> 
         graph, producer_name="morph-studio", ir_version=_IR, opset_imports=[helper.make_opsetid("", _OPSET)]
     )
     told = {"observation": _told(program.sees), "action": _told(program.gives)}
-    told |= {name: value if isinstance(value, str) else json.dumps(value) for name, value in facts.items()}
-    helper.set_model_props(model, told)
+    helper.set_model_props(model, told | _in_words(facts))
     checker.check_model(model, full_check=True)
     return model.SerializeToString(deterministic=True)
+
+
+def other_facts(content: bytes, program: Program, facts: Mapping[str, object]) -> list[str]:
+    """Return which of the `facts` among the metadata of a policy.onnx are others, or what its entries are; what it
+    does not tell is no other. Needs the extra `onnx`."""
+    import onnx
+
+    said = {p.key: p.value for p in onnx.load_model_from_string(_screened(content)).metadata_props}
+    known = {"observation": _told(program.sees), "action": _told(program.gives)} | _in_words(facts)
+    return sorted(key for key, value in known.items() if said.get(key, value) != value)
+
+
+def _in_words(facts: Mapping[str, object]) -> dict[str, str]:
+    return {name: value if isinstance(value, str) else json.dumps(value) for name, value in facts.items()}
 
 
 def _told(quantities: Iterable[Quantity]) -> str:

@@ -4,7 +4,7 @@ import hashlib
 import io
 import math
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,13 +20,23 @@ from morph_core.task import Task
 from studio.export import onnx_policy
 from studio.export.archive import unpack
 from studio.export.check import Check, relative, worst
+from studio.export.check_anew import (
+    PART_FOLDERS,
+    UNLIKE_ALLOWED,
+    beyond,
+    check_anew,
+    check_parts,
+    check_program_arrays,
+    check_provenance,
+    unlike,
+)
 from studio.export.check_copies import check_archive, check_drives, check_package
 from studio.export.check_prints import Surface, check_part_file, check_plates, read_3mf
 from studio.export.demand import Recorder
 from studio.export.design_file import FILE, Design, PartEntry, phi_for, read_design
 from studio.export.meshes import start_posture
 from studio.export.plates import PIECES
-from studio.export.policy import Score, read_policy, score
+from studio.export.policy import LAYERS, Score, read_policy, score
 from studio.export.provenance import Provenance
 from studio.export.readings import collision_box
 from studio.export.ros import FOLDER, in_packages
@@ -37,7 +47,7 @@ from studio.export.verify import load_model, verify_folder
 from studio.export.zero import moved_zero
 from studio.robots.chooser import robot_of
 from studio.robots.geometry import moments
-from studio.robots.parts import BASE, DENSITY, MILLIMETRE, body_of
+from studio.robots.parts import BASE, DENSITY, MILLIMETRE, Part, body_of, stl_files
 
 MASS_ALLOWED = 1e-6
 """Relative difference of masses that is allowed: STL and GLB are single precision."""
@@ -51,7 +61,7 @@ SCENE_ALLOWED = 1e-9
 _DYNAMICS = (
     "body_mass", "body_ipos", "body_iquat", "body_inertia", "body_pos", "body_quat", "body_gravcomp", "jnt_type",
     "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "dof_armature", "dof_damping", "actuator_gainprm",
-    "actuator_biasprm", "actuator_forcerange", "actuator_ctrlrange", "sensor_type",
+    "actuator_biasprm", "actuator_forcerange", "actuator_ctrlrange",
 )  # fmt: skip
 _TOUCH = (
     "geom_size", "geom_pos", "geom_quat", "geom_friction", "geom_bodyid", "geom_type", "geom_contype",
@@ -59,13 +69,6 @@ _TOUCH = (
     "geom_priority", "geom_rbound",
 )  # fmt: skip
 """What makes a shape collide as it does; of a mesh the bounding sphere stands for its corners."""
-_COUNTS = ("nbody", "njnt", "nv", "nu", "na", "neq", "ntendon", "npair", "nexclude", "nmocap", "nplugin", "nflex")
-"""What the physics of a model consists of; shapes that are only shown, keyframes and sensors are added for readers."""
-_DRIVE = (
-    "dof_armature", "dof_damping", "dof_frictionloss", "jnt_stiffness", "jnt_axis", "actuator_gainprm",
-    "actuator_biasprm", "actuator_dynprm", "actuator_forcerange", "actuator_gear",
-)  # fmt: skip
-"""How joints move and are driven, wherever a file has their zero."""
 PROVENANCE = "provenance.json"
 
 
@@ -83,12 +86,17 @@ def prove(files: Mapping[str, bytes], *, episodes: int, only_mujoco: bool = Fals
         checks.append(_check_name(design, task))
         if not all(check.passed for check in checks[1:]):
             return checks  # no reader sees what asks for more than a bundle needs
-        checks += _prove_physics(files, design, task, phi)
-        if {"run_policy.py", "policy.py"} & files.keys():
+        has_parts = bool(design.parts) or any(path.startswith(PART_FOLDERS) for path in files)
+        parts = robot_of(task).parts(phi) if has_parts else []  # to draw them takes long
+        checks += _guarded(FILE, lambda: check_parts(files, design, parts))
+        checks += _guarded("made anew", lambda: check_anew(files, task, phi, design, parts))
+        if PROVENANCE in files:
+            checks += _guarded(PROVENANCE, lambda: [check_provenance(files, design, files[PROVENANCE])])
+        if {"run_policy.py", "policy.py", "policy.npz"} & files.keys():
             checks += _guarded("run_policy.py", lambda: _check_program(files, task, phi))
         if onnx_policy.FILE in files:
             checks.append(check_onnx(files, task, phi))
-        checks += prove_robot(files, design, task, phi, only_mujoco=only_mujoco)
+        checks += prove_robot(files, design, task, phi, only_mujoco=only_mujoco, drawn=parts)
         if episodes and "policy.npz" in files:
             checks += prove_policy(files, task, phi, _promised(files), episodes)[1]
         elif "scene.xml" in files:
@@ -107,8 +115,10 @@ def _check_name(design: Design, task: Task) -> Check:
 
 def _check_program(files: Mapping[str, bytes], task: Task, phi: np.ndarray) -> list[Check]:
     """Compare the program that runs the policy with the one that this version ships."""
-    checks = []
-    for path, source in robot_of(task).program(phi).sources.items():
+    checks, program = [], robot_of(task).program(phi)
+    if "policy.npz" in files:
+        checks.append(check_program_arrays(files["policy.npz"], program, task.horizon, LAYERS))
+    for path, source in program.sources.items():
         if path not in files:
             continue
         same = files[path] == source
@@ -125,48 +135,24 @@ def check_onnx(files: Mapping[str, bytes], task: Task, phi: np.ndarray) -> Check
     try:
         policy, program = read_policy(files["policy.npz"]), robot_of(task).program(phi)
         off = onnx_policy.off_from_arrays(files[onnx_policy.FILE], policy, program)
+        facts = {"task": task.name, "control_step_s": task.control_dt}
+        if others := onnx_policy.other_facts(files[onnx_policy.FILE], program, facts):
+            return Check(name, math.inf, onnx_policy.ALLOWED, f"it tells another {', '.join(others)}")
     except Exception as error:  # whatever a reader throws at a broken file is the finding
         return Check(name, math.inf, onnx_policy.ALLOWED, f"can't be compared: {str(error) or type(error).__name__}")
     return Check(name, off, onnx_policy.ALLOWED, f"{onnx_policy.PAIRS} observations")
 
 
-def _prove_physics(files: Mapping[str, bytes], design: Design, task: Task, phi: np.ndarray) -> list[Check]:
-    """Compare the physics options of each MJCF file, and how much of everything it holds, with what is simulated."""
-    robot = f"{design.robot}.xml"
-    checks: list[Check] = []
-    with tempfile.TemporaryDirectory() as folder:
-        unpack(files, Path(folder))
-        for file, spec in ((robot, task.spec), ("scene.xml", task.scene)):
-            if file in files:
-                path = Path(folder) / file
-                checks += _guarded(
-                    f"{file}: physics",
-                    lambda path=path, spec=spec: [
-                        compare_physics(path.name, spec(phi).compile(), mujoco.MjModel.from_xml_path(str(path)))
-                    ],
-                )
-    return checks
-
-
-def compare_physics(name: str, simulated: mujoco.MjModel, found: mujoco.MjModel) -> Check:
-    """Compare every physics option of two models, their joints and servos, and how many bodies and colliding shapes."""
-    off: dict[str, float] = {}
-    for option in (option for option in dir(simulated.opt) if not option.startswith("_")):
-        one, other = (np.asarray(getattr(model.opt, option), dtype=float) for model in (simulated, found))
-        off[option] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
-    for field in _DRIVE:
-        one, other = np.asarray(getattr(simulated, field)), np.asarray(getattr(found, field))
-        off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
-    for count in _COUNTS:
-        off[count] = float(abs(getattr(simulated, count) - getattr(found, count)))
-    off |= _touching_off(simulated, found)
-    return worst(f"{name}: physics options and what there is", SCENE_ALLOWED, off)
-
-
 def prove_robot(
-    files: Mapping[str, bytes], design: Design, task: Task, phi: np.ndarray, *, only_mujoco: bool = False
+    files: Mapping[str, bytes],
+    design: Design,
+    task: Task,
+    phi: np.ndarray,
+    *,
+    only_mujoco: bool = False,
+    drawn: Sequence[Part] = (),
 ) -> list[Check]:
-    """Compare MJCF, URDF and parts with the robot that phi (d,) makes."""
+    """Compare MJCF, URDF and parts with the robot that phi (d,) makes, and parts with those that are `drawn` of it."""
     robot = robot_of(task)
     model, printed = task.spec(phi).compile(), robot.printed
     moved = moved_zero(task.spec(phi), robot.zero(phi)).compile()  # with the zeros of the files
@@ -186,8 +172,12 @@ def prove_robot(
         size = float(moved.stat.extent)
         checks += _guarded(FOLDER, lambda: [check_package(files, design.robot, task.name, size)])
     read = cache(lambda path: read_3mf(files[path]))  # a part's file is looked at as a part, and as a plate
+    drawings = {part.name: part for part in drawn}
     for part in design.parts:
-        checks += _guarded(f"part {part.name}", lambda part=part: _check_part(files, part, model, printed, read))
+        checks += _guarded(
+            f"part {part.name}",
+            lambda part=part: _check_part(files, part, model, printed, read, drawings.get(part.name)),
+        )
     if PIECES in files:
         checks += _guarded("plates", lambda: check_plates(files, design.parts, read))
     if "assembly.glb" in files:
@@ -243,8 +233,7 @@ def _check_frictions(path: str, content: bytes, model: mujoco.MjModel) -> Check:
         for joint in ElementTree.fromstring(content).findall("joint")
         if (dynamics := joint.find("dynamics")) is not None
     }
-    known = {name: friction for name, friction in expected.items() if name in found}
-    return worst(f"{path}: frictions", SCENE_ALLOWED, relative(known, found))
+    return worst(f"{path}: frictions", SCENE_ALLOWED, relative(expected, dict.fromkeys(expected, 0.0) | found))
 
 
 def prove_policy(
@@ -311,6 +300,8 @@ def _compare_scenes(simulated: mujoco.MjModel, reloaded: mujoco.MjModel) -> Chec
         one, other = np.asarray(getattr(simulated, field)), np.asarray(getattr(reloaded, field))
         off[field] = float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else math.inf
     off["timestep"] = abs(simulated.opt.timestep - reloaded.opt.timestep)
+    types = [{m.sensor(i).name: float(m.sensor_type[i]) for i in range(m.nsensor)} for m in (simulated, reloaded)]
+    off["sensors"] = max((abs(kind - types[1].get(name, math.inf)) for name, kind in types[0].items()), default=0.0)
     return worst(name, SCENE_ALLOWED, off | _touching_off(simulated, reloaded))
 
 
@@ -353,7 +344,12 @@ def _guarded(name: str, check: Callable[[], list[Check]]) -> list[Check]:
 
 
 def _check_part(
-    files: Mapping[str, bytes], part: PartEntry, model: mujoco.MjModel, printed: bool, read: Callable[[str], Any]
+    files: Mapping[str, bytes],
+    part: PartEntry,
+    model: mujoco.MjModel,
+    printed: bool,
+    read: Callable[[str], Any],
+    drawing: Part | None,
 ) -> list[Check]:
     """Check the files of a part; one that is `printed` is one body, and as heavy as the link."""
     checks: list[Check] = []
@@ -372,6 +368,8 @@ def _check_part(
     if pieces and printed:
         missing = 1 - sum(moments(*piece).inertial(part.density).mass for piece in pieces) / part.mass
         checks.append(Check(f"{three_mf}: mass that its pieces miss", abs(missing), DOWELS_ALLOWED))
+    if drawing:
+        checks += _check_drawn(files, surfaces, drawing, {stl, three_mf})
     for path, surface in surfaces.items():
         checks.append(_check_solid(path, surface, one_body=printed))
         if not len(surface[1]):
@@ -382,6 +380,18 @@ def _check_part(
                 checks += _check_mass(path, surface, part.density, model, link) if printed and whole else []
                 checks += _check_enclosed(path, surface, model, link)
     return checks
+
+
+def _check_drawn(
+    files: Mapping[str, bytes], surfaces: Mapping[str, Surface], drawing: Part, whole: set[str]
+) -> list[Check]:
+    """Compare surfaces with the drawing of their part: those that are `whole` are it, the others lie in it."""
+    same = {path for path, content in stl_files([drawing]).items() if files.get(path) == content}
+    off = {path: (unlike if path in whole else beyond)(surface, drawing)
+           for path, surface in surfaces.items() if path not in same}  # fmt: skip
+    return [
+        Check(f"{path}: as it is drawn (share of its volume)", share, UNLIKE_ALLOWED) for path, share in off.items()
+    ]
 
 
 def _check_solid(path: str, surface: Surface, one_body: bool) -> Check:
@@ -439,12 +449,14 @@ def _check_assembly(content: bytes, design: Design, model: mujoco.MjModel, print
     down = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from y up to z up
     size = float(scene.extents.max())
     places: dict[str, float] = {}
+    turns: dict[str, float] = {}
     masses: dict[str, float] = {}
     for part in design.parts:
         for link in part.links:
             body = body_of(model, link)
             pose, geometry = scene.graph[link]
             places[link] = float(np.abs(down @ pose[:3, 3] - data.xpos[body]).max()) / size
+            turns[link] = float(np.abs(down @ pose[:3, :3] - data.xmat[body].reshape(3, 3)).max())
             if not printed:
                 continue
             mesh = scene.geometry[geometry].copy()
@@ -452,4 +464,5 @@ def _check_assembly(content: bytes, design: Design, model: mujoco.MjModel, print
             mass = moments(np.asarray(mesh.vertices), np.asarray(mesh.faces)).inertial(part.density).mass
             masses[link] = abs(mass - part.mass) / part.mass
     positions = worst("assembly.glb: positions of the links", SINGLE_ALLOWED, places)
-    return [positions, *[worst("assembly.glb: masses", MASS_ALLOWED, masses)] * printed]
+    turned = worst("assembly.glb: how the links are turned", SINGLE_ALLOWED, turns)
+    return [positions, turned, *[worst("assembly.glb: masses", MASS_ALLOWED, masses)] * printed]

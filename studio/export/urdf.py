@@ -57,8 +57,10 @@ def urdf_names(model: mujoco.MjModel) -> Names:
 
 
 def _plain(name: str) -> str:
-    """Return a name without what some readers stumble over: Gazebo over signs of XML, all of them over line ends."""
-    return re.sub(r"[^\w./:-]+", "_", name)
+    """Return a name in letters, digits and underscores that begins with no digit: what Isaac's importer, whose names
+    are those of USD, takes as it is; Gazebo stumbles over signs of XML, and all readers over line ends."""
+    word = re.sub(r"[^A-Za-z0-9_]+", "_", name)
+    return f"_{word}" if word[:1].isdigit() else word
 
 
 def _joint_name(name: str, taken: set[str]) -> str:
@@ -359,8 +361,7 @@ def _separate_names(root: ElementTree.Element) -> None:
 
 
 def _mesh_path(model: mujoco.MjModel, mesh: int) -> str:
-    name = re.sub(r"[^A-Za-z0-9_-]+", "_", model.mesh(mesh).name)[:60]
-    return f"{MESHES}/{mesh}_{name}.stl"
+    return f"{MESHES}/mesh_{mesh}_{_plain(model.mesh(mesh).name)[:60]}.stl"
 
 
 def _stl(model: mujoco.MjModel, mesh: int) -> bytes:

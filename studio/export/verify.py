@@ -6,7 +6,7 @@ centres and moments of inertia, joint limits, and where every body and site stan
 
 import importlib.util
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -190,9 +190,21 @@ def _check_urdf(path: str, files: Mapping[str, bytes]) -> Check:
     driven = {element for kind in DRIVES for block in root.findall(kind) for element in block.iter()}
     strange = {str(element.tag) for element in root.iter() if element not in driven} - _WORDS
     faults += [f"it holds <{tag[:40]}>, which no export has" for tag in sorted(strange)]
+    faults += [f"{tag} has two <{twice}>, of which readers take one each" for tag, twice in _doubled(root)]
     meshes = {element.get("filename", "") for element in root.iter("mesh")}
     faults += [f"mesh {mesh} is missing" for mesh in sorted(meshes - set(files))]
     return Check(name, float(len(faults)), 0.0, "; ".join(faults))
+
+
+def _doubled(root: ElementTree.Element) -> Iterator[tuple[str, str]]:
+    """Yield the elements of links and joints that have two children of a kind of which one is meant, and that kind."""
+    for whole in [*root.findall("link"), *root.findall("joint")]:
+        for element in whole.iter():
+            tags = [str(child.tag) for child in element]
+            several = {tag for tag in tags if tags.count(tag) > 1} - {"visual", "collision"}
+            yield from ((whole.get("name", ""), tag) for tag in sorted(several))
+            if element.tag == "geometry" and len(tags) > 1:
+                yield whole.get("name", ""), "shapes"
 
 
 def _faults_of_inertials(root: ElementTree.Element) -> list[str]:
@@ -222,7 +234,9 @@ def _faults_of_joints(root: ElementTree.Element) -> list[str]:
     if len(roots) != 1 or len(set(carried)) != len(carried):
         faults.append(f"the links are no tree (roots: {', '.join(roots) or 'none'})")
     for joint in root.findall("joint"):
-        limit = joint.find("limit")
+        limit, axis = joint.find("limit"), joint.find("axis")
+        if axis is not None and not math.isclose(math.hypot(*_numbers(axis, "xyz")), 1.0, rel_tol=1e-6):
+            faults.append(f"the axis of {joint.get('name')} is no unit vector, which not all readers make of it")
         if limit is not None and not all(0 < _read(limit, name) < math.inf for name in ("effort", "velocity")):
             faults.append(f"{joint.get('name')} has no positive effort and velocity")
         if joint.get("type") not in ("revolute", "prismatic"):
@@ -233,6 +247,13 @@ def _faults_of_joints(root: ElementTree.Element) -> list[str]:
         elif not lo <= 0 <= hi:
             faults.append(f"zero, where readers begin, is outside the limits of {joint.get('name')}")
     return faults
+
+
+def _numbers(element: ElementTree.Element, attribute: str) -> list[float]:
+    try:
+        return [float(word) for word in element.get(attribute, "nan").split()]
+    except ValueError:
+        return [math.nan]
 
 
 def _read(element: ElementTree.Element, attribute: str) -> float:

@@ -23,6 +23,7 @@ import pytest
 import trimesh
 from conftest import FEW, design_of, make_hand_run
 from safetensors.numpy import save_file
+from trimesh.exchange.gltf import export_glb
 
 from morph_core.catalogue import TASKS, make_task
 from morph_core.history import History
@@ -471,6 +472,55 @@ def with_another_corner(content: bytes) -> bytes:
     return zipped(files | {"3D/3dmodel.model": text.encode()})
 
 
+def mirrored(content: bytes) -> bytes:
+    """Break an STL: as heavy as before, and inside of the same shapes."""
+    mesh = trimesh.load_mesh(io.BytesIO(content), file_type="stl")
+    return stl(np.asarray(mesh.vertices) * [-1, 1, 1], np.asarray(mesh.faces)[:, ::-1], "")
+
+
+def with_another_half(content: bytes) -> bytes:
+    """Break a 3MF: its bodies are mirrored."""
+    files = unzipped(content)
+    text = files["3D/3dmodel.model"].decode()
+    text = re.sub(r' x="([^"]+)"', lambda match: f' x="{-float(match[1])!r}"', text)
+    text = re.sub(r'v1="(\d+)" v2="(\d+)"', r'v1="\2" v2="\1"', text)
+    return zipped(files | {"3D/3dmodel.model": text.encode()})
+
+
+def with_another_array(name: str) -> Callable[[bytes], bytes]:
+    """Return a breaking of a policy.npz: the policy stays, what its program is told of an array does not."""
+
+    def change(content: bytes) -> bytes:
+        with np.load(io.BytesIO(content)) as file:
+            arrays = dict(file)
+        buffer = io.BytesIO()
+        np.savez(buffer, **{**arrays, name: 1.01 * arrays[name]})
+        return buffer.getvalue()
+
+    return change
+
+
+def replaced_bytes(before: bytes, after: bytes) -> Callable[[bytes], bytes]:
+    def replace(content: bytes) -> bytes:
+        assert before in content
+        return content.replace(before, after, 1)
+
+    return replace
+
+
+def with_a_turned_node(content: bytes) -> bytes:
+    """Break a GLB: a link is turned where it stands."""
+    scene = trimesh.load_scene(io.BytesIO(content), file_type="glb")
+    pose = scene.graph["finger_1_distal"][0] @ trimesh.transformations.rotation_matrix(0.1, [1, 0, 0])
+    scene.graph.update("finger_1_distal", matrix=pose)
+    return export_glb(scene)
+
+
+def in_another_size(content: bytes) -> bytes:
+    """Break the table of pieces: the palm is a millimetre longer than it is."""
+    return re.sub(rb"(palm,1,1,)([\d.]+)", lambda m: m[1] + b"%.1f" % (float(m[2]) + 1), content, count=1)
+
+
 BREAKS = {
     "one of each": [
         ("plates/plate_1.3mf", moved_item("-20 90 20"), "plates/plate_1.3mf: inside the printer"),
@@ -493,6 +543,13 @@ BREAKS = {
         ("hand.xml", replaced('size="0.015 ', 'size="0.016 '), "hand.xml in MuJoCo: collision extents"),
         ("hand.urdf", replaced('<cylinder radius="0.015"', '<cylinder radius="0.0149"'), "MuJoCo: collision extents"),
         ("policy.py", lambda content: content + b"#", "policy.py: the program"),
+        ("parts/palm.stl", mirrored, "parts/palm.stl: as it is drawn"),
+        ("3mf/finger_1_proximal.3mf", with_another_half, "3mf/finger_1_proximal.3mf: as it is drawn"),
+        ("policy.npz", with_another_array("spread"), "policy.npz: what the program is told"),
+        ("policy.onnx", replaced_bytes(b"control_step_s\x12\x030.1", b"control_step_s\x12\x030.2"), "policy.onnx"),
+        ("provenance.json", replaced('"task": "pen_press"', '"task": "reacher"'), "provenance.json: of this design"),
+        ("assembly.glb", with_a_turned_node, "assembly.glb: how the links are turned"),
+        ("plates/pieces.csv", in_another_size, "plates/pieces.csv: sizes"),
     ],
     "a third of some": [
         ("plates/plate_1.3mf", with_another_corner, "plates/plate_1.3mf: bodies as in their own files"),
@@ -504,6 +561,9 @@ BREAKS = {
     ],
     "another piece": [
         ("plates/pieces.csv", replaced("finger_1_distal", "finger_9_distal"), "plates: each piece as often as needed"),
+        ("design.json", replaced('"density": ', '"density": 1'), "design.json: parts"),
+        ("hand.xml", replaced('scale="0.001 0.001 0.001"', 'scale="0.001 0.001 0.002"'), "hand.xml: physics options"),
+        ("hand.urdf", replaced('scale="0.001 0.001 0.001"', 'scale="0.001 0.001 0.002"'), "hand.urdf: what is shown"),
     ],
     "no pieces": [("plates/pieces.csv", lambda _: b"", "plates")],
     "another design": [("design.json", replaced('"value": 0.1,', '"value": 0.2,'), "positions")],

@@ -1,6 +1,8 @@
 """Exported files stand where every reader begins, in words that strict and old readers take, and show in ROS."""
 
+import itertools
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -230,11 +232,30 @@ def test_what_a_strict_reader_refuses_in_a_urdf_is_found_out() -> None:
     assert any("base has no inertial" in str(check) for check in verify({"robot.urdf": without.encode()}))
 
 
+def test_names_are_such_as_isaac_takes_unchanged_whatever_a_robots_own_are() -> None:
+    spec, own = mujoco.MjSpec(), ["1st", "link.a", "link-a", "link a", "\N{SNOWMAN}", "a/b:c"]
+    spec.add_mesh(name="2-sided", uservert=np.ravel([*itertools.product((0.0, 0.1), repeat=3)]))
+    for name in own:
+        body = spec.worldbody.add_body(name=name)
+        body.add_joint(name=name, range=[-1, 1])
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="2-sided")
+        body.add_site(name=name)
+    files = write_urdf(spec.compile(), "robot.urdf", "robot")
+    root = ElementTree.fromstring(files["robot.urdf"])
+    names = [e.attrib["name"] for e in [*root.findall("link"), *root.findall("joint")]]
+    assert len({*names}) == len(names) == 2 + 4 * len(own) + 1  # link, joint, and a frame with its joint, of each
+    stems = [Path(path).stem for path in files]
+    assert all(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name) for name in [*names, *stems]), names
+    limits = [joint.find("limit") for joint in root.findall("joint") if joint.get("type") == "revolute"]
+    assert all(limit is not None and set(limit.attrib) == {"lower", "upper", "effort", "velocity"} for limit in limits)
+
+
 def test_no_link_or_joint_of_an_awkward_robot_shares_its_name() -> None:
     model = awkward_robot().compile()
     root = ElementTree.fromstring(write_urdf(model, "robot.urdf", "robot", drives=True)["robot.urdf"])
     names = [e.attrib["name"] for e in [*root.findall("link"), *root.findall("joint")]]
     assert len(set(names)) == len(names)
+    assert all(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name) for name in names), "what Isaac documents of names"
     assert names[0] == "world"
     assert root.find("link[@name='world']/inertial") is None
     assert root.find("ros2_control/joint") is None, "a robot without servos has none to drive"

@@ -32,6 +32,7 @@ from studio.export.readings import read_mjcf, read_urdf
 from studio.export.screen import screen
 from studio.export.verify import POSITION_ALLOWED, compare
 from studio.robots.chooser import robot_of
+from studio.robots.stl import stl
 
 TASK = make_task("reacher")
 ROBOT = robot_of(TASK).file_name
@@ -206,11 +207,21 @@ def test_no_reader_sees_what_asks_for_more_than_a_bundle_needs(
 
     if "bomb" in ask:
         monkeypatch.setattr("studio.export.screen.MAX_BYTES", 8 << 20)
-    for reader in ("verify_folder", "compare_physics", "_prove_physics"):
+    for reader in ("verify_folder", "check_anew", "check_parts"):
         monkeypatch.setattr(f"studio.export.proof.{reader}", never)
     found = faults(bundle | {path: changed})
     assert found
     assert all("asks for nothing outside" in fault for fault in found), found
+
+
+def replaced(before: str, after: str) -> Callable[[bytes], bytes]:
+    """Return a change of a file: the first `before` becomes `after`."""
+
+    def replace(content: bytes) -> bytes:
+        assert before.encode() in content
+        return content.replace(before.encode(), after.encode(), 1)
+
+    return replace
 
 
 DIFFERS = {
@@ -263,6 +274,38 @@ DIFFERS = {
         lambda content: re.sub(rb"<transmission .*?</transmission>", b"", content, count=1, flags=re.DOTALL),
         "transmissions and interfaces",
     ),
+    **{
+        f"a number that only {file} has: {after}": (file, replaced(before, after), finding)
+        for file in (XML, "scene.xml")
+        for before, after, finding in (
+            ("<joint ", '<joint springref="0.5" ', "qpos_spring"),
+            ("<joint ", '<joint margin="0.1" ', "jnt_margin"),
+            ("<joint ", '<joint solreflimit="0.1 1" ', "jnt_solref"),
+            ("<joint ", '<joint actuatorgravcomp="true" ', "jnt_actgravcomp"),
+            ("<worldbody>", '<default><geom solmix="2"/></default><worldbody>', "geom_solmix"),
+            ("<position ", '<position ctrlrange="-9 9" ', "actuator_ctrl"),
+            ('<key name="start" qpos="', '<key name="start" time="1" qpos="', "key_time"),
+            ('<key name="start"', '<key name="begin"', "not first of all the keys start"),
+            ('<position name="', '<position name="other_', "the actuator joint_1 is called other_joint_1"),
+            ('joint="joint_1"', 'joint="joint_2"', "actuator_trnid"),
+        )
+    },
+    "a base that floats": (f"{ROBOT}.urdf", replaced('type="fixed"', 'type="floating"'), "how links are joined"),
+    "a base that floats in ROS": (
+        f"{PACKAGE}/urdf/{ROBOT}.urdf",
+        replaced('type="fixed"', 'type="floating"'),
+        "how links are joined",
+    ),
+    "a shape that is shown elsewhere": (
+        f"{ROBOT}.urdf",
+        lambda c: re.sub(rb'(<visual>\s*<origin xyz=")[^"]*', rb"\g<1>0 0 1", c, count=1),
+        "is shown",
+    ),
+    "two limits": (f"{ROBOT}.urdf", replaced("<limit ", '<limit lower="-9" upper="9"/><limit '), "has two <limit>"),
+    "a long axis": (f"{ROBOT}.urdf", replaced('<axis xyz="0.0 0.0 1.0"', '<axis xyz="0 0 2"'), "is no unit vector"),
+    "another gain beside the URDF": ("control.json", replaced('"kp": ', '"kp": 9'), "control.json: what it says"),
+    "a joint less beside the URDF": ("control.json", replaced('"joint_1"', '"joint_9"'), "joints joint_1"),
+    "a part of nobody": ("parts/wing.stl", lambda _: stl(np.eye(4, 3), np.eye(1, 3, dtype=int), ""), "of no part"),
     "another program": ("run_policy.py", lambda content: content + b"\nimport os\n", "run_policy.py"),
     "a file more": ("run.sh", lambda _: b"#!/bin/sh\n", "belongs to an export"),
     "another robot's name": ("design.json", lambda _: design_json("../../../tmp/x"), "design.json: robot"),
@@ -275,6 +318,27 @@ def test_what_is_in_a_file_and_not_in_the_design_is_found(bundle: dict[str, byte
     path, change, finding = DIFFERS[what]
     found = faults(bundle | {path: change(bundle.get(path, b""))})
     assert any(finding in fault for fault in found), found
+
+
+def test_what_nothing_depends_on_may_differ(bundle: dict[str, bytes]) -> None:
+    changes = [
+        replaced("<worldbody>", "<!-- mine --><worldbody>"),
+        replaced("<worldbody>", '<default><site rgba="1 0 0 1"/></default><worldbody>'),
+        replaced("</worldbody>", '<camera name="c"/><light name="l"/><site name="s"/></worldbody>'),
+        replaced("</worldbody>", '<geom name="ball" size=".01" contype="0" conaffinity="0" mass="0"/></worldbody>'),
+        replaced("<actuator>", '<sensor><jointpos name="q" joint="joint_1"/></sensor><actuator>'),
+        lambda content: re.sub(rb'(<key name="start"([^>]*)/>)', rb'\1<key name="again"\2/>', content),
+        lambda content: re.sub(rb'rgba="[^"]*"', b'rgba="1 0 0 1"', content),
+    ]
+    files = {path: content for path, content in bundle.items() if path != f"{ROBOT}.mjz"}
+    for path in (XML, "scene.xml"):
+        for change in changes:
+            files[path] = change(files[path])
+    urdf = ElementTree.fromstring(files[f"{ROBOT}.urdf"])
+    urdf[:] = [*reversed(urdf)]
+    files[f"{ROBOT}.urdf"] = ElementTree.tostring(urdf)
+    files["control.json"] = msgspec.json.encode(msgspec.json.decode(files["control.json"]))
+    assert faults(files) == []
 
 
 def test_a_reader_that_takes_too_long_is_ended(bundle: dict[str, bytes]) -> None:

@@ -21,7 +21,9 @@ def test_of_an_old_bundle_it_is_said_that_its_arm_jumps_and_that_the_rest_agrees
         checks = prove({name: archive.read(name) for name in archive.namelist()}, episodes=8)
     failed = [check.name for check in checks if not check.passed]
     assert any("stands for 1 s" in name for name in failed)  # its foot collided with the first link
-    assert not [name for name in failed if name.startswith(("design.json", "parts/", "policy", "robot.urdf"))]
+    drawn_anew = ("parts", "as it is drawn (share of its volume)", "what the program is told")
+    others = [name for name in failed if name.split(": ")[-1] not in drawn_anew]
+    assert not [name for name in others if name.startswith(("design.json", "parts/", "policy", "robot.urdf"))]
     assert any(check.passed and check.name.startswith("policy") for check in checks)
 
 
