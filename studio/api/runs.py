@@ -49,7 +49,7 @@ def runs_router(runs: Runs) -> APIRouter:
     router = APIRouter(prefix="/api/runs", tags=["runs"])
 
     @router.get("", responses=gives(list[Summary]), summary="All runs, newest first")
-    def summaries(if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    def summaries(if_none_match: Annotated[list[str] | None, Header()] = None) -> Response:
         return versioned(reply(runs.summaries()), if_none_match)
 
     @router.post(

@@ -30,7 +30,7 @@ def shelf_router(runs: Runs, thumbnails: Thumbnails) -> APIRouter:
     @router.get("/api/table", responses=gives(list[Row]), summary="All runs with what they have come to, newest first")
     def table(
         run: Annotated[list[str] | None, Query(description="Only this run; repeated for each")] = None,
-        if_none_match: Annotated[str | None, Header()] = None,
+        if_none_match: Annotated[list[str] | None, Header()] = None,
     ) -> Response:
         return versioned(reply(runs.rows(run)), if_none_match)
 
