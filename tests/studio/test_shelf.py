@@ -221,6 +221,35 @@ def test_a_deletion_purges_what_has_lain_in_the_trash_for_too_long(runs_folder: 
     assert in_trash(runs_folder) == ["run"]
 
 
+@pytest.mark.parametrize("deleted_by", [3600.0, -56 * 365 * 86400.0, 365 * 86400.0])
+def test_no_step_of_the_clock_purges_a_run_or_keeps_it(
+    runs_folder: Path, monkeypatch: pytest.MonkeyPatch, deleted_by: float
+) -> None:
+    now, uptime = time.time(), [100.0]
+    monkeypatch.setattr(trash, "_uptime", lambda: uptime[0])
+    monkeypatch.setattr(time, "time", lambda: now + deleted_by)
+    runs = Runs(runs_folder)
+    for name in ("run-1", "run-2", "run-3"):
+        make_run(runs_folder, name)
+        assert runs.discard(name).deleted == pytest.approx(max(0, now + deleted_by), abs=1e-3)
+    for step in (0.0, 9 * 86400.0, -9 * 86400.0, 1e9):
+        monkeypatch.setattr(time, "time", lambda step=step: now + step)
+        trash.purge(runs_folder)
+        assert len(in_trash(runs_folder)) == 3
+    runs.restore("run-1")
+    uptime[0] += 7 * 86400 - 1
+    trash.purge(runs_folder)
+    assert sorted(in_trash(runs_folder)) == ["run-2", "run-3"]
+    monkeypatch.setattr(trash, "_start_of_machine", lambda: "0badcafe")  # started anew: only the wall clock is left
+    monkeypatch.setattr(time, "time", lambda: now + deleted_by + 60)
+    trash.purge(runs_folder)
+    assert len(in_trash(runs_folder)) == 2
+    monkeypatch.undo()
+    monkeypatch.setattr(trash, "_uptime", lambda: 100.0 + 7 * 86400)
+    trash.purge(runs_folder)
+    assert in_trash(runs_folder) == []
+
+
 def test_another_run_by_the_name_of_a_deleted_one_is_read_anew(runs_folder: Path) -> None:
     runs = Runs(runs_folder)
     for ended in ("stopped", "failed"):
