@@ -1,12 +1,14 @@
 """The web application: one FastAPI around the runs, the viewer and the shell page; and the server that runs it."""
 
 import contextlib
+import errno
 import functools
 import html
 import logging
 import secrets
 import socket
 import sys
+import tempfile
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
@@ -331,7 +333,9 @@ def _add_refusals(app: FastAPI) -> None:
 
     def refuse_by_disk(_: Request, error: Exception) -> Response:
         why = str(error) if isinstance(error, NotPlainError) else getattr(error, "strerror", None) or str(error)
-        return JSONResponse({"detail": f"the disk with the runs refuses: {why}"}, 503)
+        full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
+        room = f": make room where the runs are, or in {tempfile.gettempdir()}" if full else ""
+        return JSONResponse({"detail": f"the disk refuses: {why}{room}"}, 503)
 
     def refuse_parameters(_: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)

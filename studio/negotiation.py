@@ -1,4 +1,4 @@
-"""What a client says of the answer that it can use: packed or not, the header alone, the one it has; what is allowed."""
+"""What a client can use of an answer: packed or not, its header alone, nothing it has; and which methods it may."""
 
 import re
 from collections.abc import Iterable
@@ -41,7 +41,7 @@ class Negotiated:
             await self.app(inner, receive, send)
 
     async def _answer_head(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the header of what GET would be answered with; a body is given up, however long it would have gone on."""
+        """Send the header of what GET would be answered with; its body is given up, however long it would be."""
         with anyio.CancelScope() as work:
 
             async def send_header(message: Message) -> None:

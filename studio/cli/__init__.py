@@ -2,6 +2,7 @@
 
 import importlib
 import platform
+import re
 import sys
 from collections.abc import Sequence
 
@@ -36,6 +37,10 @@ name. A first run: morph-studio serve
 """
 
 
+_ENDLESS = r"\S{1000,}"
+"""Pattern of a word that is too long to be said again; paths may have some hundred characters."""
+
+
 def main() -> None:
     """Run the command of `sys.argv` and exit: 0 done, 1 failed, 2 asked for the impossible, 130 stopped by Ctrl-C."""
     open_streams()
@@ -57,13 +62,17 @@ def run(words: Sequence[str]) -> int:
     try:
         return _obey(words)
     except UsageError as error:
-        complain(f"morph-studio: {error}")
+        complain(f"morph-studio: {re.sub(_ENDLESS, _begin, str(error))}")
         return 2
     except BrokenPipeError:
         raise
     except OSError as error:  # a folder that is read-only, a disk that is full
         complain(f"morph-studio: {words[0] if words else 'help'}: {error}")
         return 1
+
+
+def _begin(word: re.Match[str]) -> str:
+    return f"{word[0][:80]}..."
 
 
 def _obey(words: Sequence[str]) -> int:

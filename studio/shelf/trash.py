@@ -38,7 +38,10 @@ class Trashed(msgspec.Struct, frozen=True):
 
 
 def discard(folder: RunFolder, now: float | None = None) -> Trashed:
-    """Move a run into the trash, in one step; a time that is given is believed. RunFolderError if a trainer holds it."""
+    """Move a run into the trash, in one step. Raise RunFolderError if a trainer holds it.
+
+    A time that is given is believed, and no other clock is asked.
+    """
     moment = round(time.time() if now is None else now, 3)
     start = _start_of_machine() if now is None else ""
     measured = f"~{start}~{round(_uptime() * 1000)}" if start else ""
