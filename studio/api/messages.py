@@ -296,6 +296,11 @@ def gives(kind: object, status: int = 200, description: str = "The answer") -> d
     return {status: answer, **REFUSALS}
 
 
+def gives_versioned(kind: object) -> dict[int | str, dict[str, object]]:
+    """Return the `responses` of a route whose answer is `versioned`."""
+    return {304: {"description": "It is as If-None-Match has it already"}, **gives(kind)}
+
+
 def gives_file(media_type: str, description: str) -> dict[int | str, dict[str, object]]:
     """Return the `responses` of a route that answers with a file or stream."""
     one_text = media_type != "text/event-stream"  # whose events have a schema each, for which OpenAPI 3.1 has no word
