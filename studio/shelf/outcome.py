@@ -89,8 +89,7 @@ def landmarks(folder: Path) -> list[AnyEvent]:
     try:
         for text in inside.whole_lines(folder, "events.jsonl", 0, EVENTS_BYTES):
             for line, before in _telling(text):
-                event = _event(line)
-                events.append(event or (before and _event(before)))
+                events.append(_event(line) or (_event(before) if before else None))
     except OSError:
         return []
     return [event for event in events if event]
