@@ -54,6 +54,7 @@ _.phase
 _.phi_moved
 _.policy_iteration
 _.policy_std
+_.purged
 _.size_bytes
 _.source_component_uuid
 _.submitted

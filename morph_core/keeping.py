@@ -43,27 +43,31 @@ def pin(folder: RunFolder, checkpoint: int) -> None:
 
 
 def tidy(folder: RunFolder, interval: int, best: int | None) -> None:
-    """Remove the checkpoints of a run that are kept no longer; `best` is the iteration of the best evaluation."""
+    """Remove the checkpoints of a run that are kept no longer; `best` is the iteration of the best evaluation.
+
+    None is removed while it can't be read which are starred or branched from.
+    """
     saved = folder.checkpoint_iterations()
     if len(saved) <= MOST:
         return
-    wanted = [*_starred(folder), *([best] if best is not None else [])]
+    try:
+        starred, pinned = _starred(folder), _pinned(folder)
+    except (OSError, ValueError, RecursionError):
+        return
+    wanted = [*starred, *([best] if best is not None else [])]
     nearest = (max((iteration for iteration in saved if iteration <= asked), default=saved[0]) for asked in wanted)
-    for iteration in dropped(saved, interval, {*_pinned(folder), *nearest}):
+    for iteration in dropped(saved, interval, {*pinned, *nearest}):
         with contextlib.suppress(OSError):  # then it is removed the next time
             durable.remove_folder(folder.checkpoint(iteration))
 
 
 def _pinned(folder: RunFolder) -> set[int]:
-    try:
-        return {int(name) for name in inside.names(folder.path, PINS) if CHECKPOINT.fullmatch(name)}
-    except OSError:
-        return set()
+    return {int(name) for name in inside.names(folder.path, PINS) if CHECKPOINT.fullmatch(name)}
 
 
 def _starred(folder: RunFolder) -> tuple[int, ...]:
-    """Return the iterations whose designs are starred; where that can't be read, none is."""
+    """Return the iterations whose designs are starred."""
     try:
         return msgspec.json.decode(inside.read(folder.path, MARKS, SMALL_BYTES), type=_Stars).starred_designs
-    except (OSError, ValueError, RecursionError):
+    except FileNotFoundError:
         return ()

@@ -3,7 +3,6 @@
 Event = kept, in order. Snapshot = may be replaced by a newer one. Command = from a user to the trainer.
 """
 
-import re
 from typing import Annotated, Literal, get_args
 
 import msgspec
@@ -374,7 +373,7 @@ class _Format(msgspec.Struct, frozen=True):
 _encoder = msgspec.json.Encoder()
 _FORMAT_1 = {"truncations": "diverged", "rollout": "episode"}
 """Fields of events as format 1 of a run called them -> as they are called now."""
-_WRITTEN_BY_FORMAT_1 = re.compile(rb'"(%s)":' % b"|".join(name.encode() for name in _FORMAT_1))
+_TRUNCATIONS, _ROLLOUT = (f'"{name}":'.encode() for name in _FORMAT_1)
 _events = msgspec.json.Decoder(AnyEvent)
 _orders = msgspec.json.Decoder(Order)
 _records = msgspec.json.Decoder(RunRecord)
@@ -390,7 +389,7 @@ def encode(message: msgspec.Struct) -> bytes:
 def decode_event(line: bytes | str) -> AnyEvent:
     """Return an event, of a run of format 1 too; msgspec.DecodeError (ValidationError) on anything else."""
     written = line.encode() if isinstance(line, str) else line
-    if not _WRITTEN_BY_FORMAT_1.search(written):
+    if _TRUNCATIONS not in written and _ROLLOUT not in written:
         return _events.decode(written)
     fields = msgspec.json.decode(written, type=dict[str, object])
     return msgspec.convert({_FORMAT_1.get(name, name): value for name, value in fields.items()}, AnyEvent)

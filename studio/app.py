@@ -1,12 +1,14 @@
 """The web application: one FastAPI around the runs, the viewer and the shell page; and the server that runs it."""
 
 import contextlib
+import errno
 import functools
 import html
 import logging
 import secrets
 import socket
 import sys
+import tempfile
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
@@ -57,6 +59,7 @@ from studio.evolutions import Evolutions
 from studio.export.bundle import Bundle, build_bundle
 from studio.filming import Films
 from studio.memory import map_large_blocks
+from studio.negotiation import Negotiated, allowed_methods
 from studio.new_run import Branch, StartRun
 from studio.news import News
 from studio.patience import PatientProtocol
@@ -121,7 +124,7 @@ class _GuardedApp(FastAPI):
 
     def build_middleware_stack(self) -> ASGIApp:
         """Return FastAPI's own stack inside the guard."""
-        compressed = GZipMiddleware(super().build_middleware_stack(), compresslevel=6)
+        compressed = Negotiated(GZipMiddleware(super().build_middleware_stack(), compresslevel=6))
         settings: Settings = self.state.settings
         return Prefixed(Guard(compressed, self.state.access), settings.root_path, settings.proxies)
 
@@ -330,7 +333,9 @@ def _add_refusals(app: FastAPI) -> None:
 
     def refuse_by_disk(_: Request, error: Exception) -> Response:
         why = str(error) if isinstance(error, NotPlainError) else getattr(error, "strerror", None) or str(error)
-        return JSONResponse({"detail": f"the disk with the runs refuses: {why}"}, 503)
+        full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
+        room = f": make room where the runs are, or in {tempfile.gettempdir()}" if full else ""
+        return JSONResponse({"detail": f"the disk refuses: {why}{room}"}, 503)
 
     def refuse_parameters(_: Request, error: Exception) -> Response:
         assert isinstance(error, RequestValidationError)
@@ -342,6 +347,8 @@ def _add_refusals(app: FastAPI) -> None:
     async def refuse_path(request: Request, error: Exception) -> Response:
         """Answer a browser that asks for a page that there is not by a page, and everybody else as FastAPI does."""
         assert isinstance(error, HTTPException)
+        if error.status_code == 405:  # FastAPI names the methods of one route alone
+            error.headers = {"Allow": allowed_methods(request.app.routes, request.scope)}
         if error.status_code != 404 or "text/html" not in request.headers.get("accept", ""):
             return await http_exception_handler(request, error)
         return HTMLResponse(page.replace("{root}", html.escape(request.scope.get("root_path", ""))), 404)

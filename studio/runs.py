@@ -28,7 +28,7 @@ from studio.new_run import StartRun, prepare_run
 from studio.overdue import forget_stops
 from studio.recordings import Recordings
 from studio.shelf import trash
-from studio.shelf.marks import Marks, MarksChange, changed, read_marks, with_star, write_marks
+from studio.shelf.marks import Marks, MarksChange, changed, marks_to_change, with_star, write_marks
 from studio.shelf.outcome import Outcome
 from studio.shelf.trash import Trashed
 from studio.statuses import Statuses
@@ -183,22 +183,23 @@ class Runs:
     # --- keeping in order ---
 
     def mark(self, run_id: str, change: MarksChange) -> Marks:
-        """Change what is noted about a run. Raise ValueError, nothing changed, if it is too long or unreadable."""
+        """Change what is noted about a run. Raise ValueError, nothing changed, if it is too long, or if what
+        was noted before can't be read."""
         folder = self._own(run_id, "marked")
         with self._histories.turn(run_id):
-            marks = changed(read_marks(folder.path), change)
+            marks = changed(marks_to_change(folder.path), change)
             write_marks(folder.path, marks)
         return marks
 
     def star(self, run_id: str, design: str, starred: bool) -> Marks:
         """Star a design of a run, or take its star away; RunFolderError if there is no such design.
 
-        Raise ValueError, nothing changed, if too many are starred.
+        Raise ValueError, nothing changed, if too many are starred, or what was noted before can't be read.
         """
         folder = self._own(run_id, "marked")
         iteration, _ = self.get(run_id).design(design)
         with self._histories.turn(run_id):
-            marks = with_star(read_marks(folder.path), iteration, starred)
+            marks = with_star(marks_to_change(folder.path), iteration, starred)
             write_marks(folder.path, marks)
         return marks
 

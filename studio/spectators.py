@@ -38,6 +38,10 @@ _ONLY_SCENE = b"#root [class*=dock],#root .mantine-Paper-root,.mantine-Affix-roo
 _ALONE = "sandbox allow-scripts; frame-ancestors 'self'"
 """Policy of a page that a spectator looks at alone, beside its own, which lets nothing in: it is of no origin, so that
 it can't even send the spectator's cookie."""
+_SENTENCES: dict[int | str, dict[str, object]] = {
+    404: {"description": "No such run, in words for the spectator", "content": {"text/html": {}}}
+}
+"""What takes the place of a page that there is not, in the description of the interface."""
 _SENTENCE_STYLE = (
     ":root{color-scheme:light dark}body{font:16px/1.5 system-ui,sans-serif;max-width:34rem;margin:18vh auto;"
     "padding:0 1.5rem}"
@@ -101,7 +105,7 @@ def spectators_router(audience: Audience, access: Access, evolutions: Evolutions
     @router.get(
         "/runs/{run_id}/evolution.html",
         response_class=Response,
-        responses=gives_file("text/html", "One page that asks for nothing: bodies, traces and episodes"),
+        responses=gives_file("text/html", "One page that asks for nothing: bodies, traces and episodes") | _SENTENCES,
         summary="The whole evolution of a run that the presenter has shown, for a spectator to look at alone",
     )
     async def evolution(run_id: str) -> Response:

@@ -1,7 +1,7 @@
 """JSON in and out: bodies decoded strictly, answers encoded, and both in the OpenAPI schema."""
 
 import hashlib
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from types import UnionType
 from typing import Annotated, TypeVar, cast
 
@@ -16,6 +16,7 @@ from studio.filming import FilmState, FilmWish
 from studio.lines import Row, Summary
 from studio.log import LogEntry
 from studio.moments import Moment
+from studio.negotiation import is_known
 from studio.new_run import Number, StartRun
 from studio.recordings import Origin
 from studio.shelf.marks import Marks, MarksChange
@@ -250,10 +251,10 @@ def reply(message: object, status: int = 200) -> Response:
     return Response(msgspec.json.encode(message), status, media_type="application/json")
 
 
-def versioned(answer: Response, known: str | None) -> Response:
-    """Return an answer with its version as ETag, or only that it has not changed where `known` is If-None-Match."""
+def versioned(answer: Response, known: Sequence[str] | None) -> Response:
+    """Return an answer with its version as ETag, or only that it has not changed where If-None-Match has it already."""
     version = f'"{hashlib.sha256(answer.body).hexdigest()[:32]}"'
-    if {version, "*"} & {tag.strip().removeprefix("W/") for tag in (known or "").split(",")}:
+    if is_known(version, known or ()):
         answer = Response(status_code=304)
     answer.headers["ETag"] = version
     return answer
@@ -293,6 +294,11 @@ def gives(kind: object, status: int = 200, description: str = "The answer") -> d
     """Return the `responses` of a route with this answer."""
     answer = {"description": description, "content": {"application/json": {"schema": schema(kind)}}}
     return {status: answer, **REFUSALS}
+
+
+def gives_versioned(kind: object) -> dict[int | str, dict[str, object]]:
+    """Return the `responses` of a route whose answer is `versioned`."""
+    return {304: {"description": "It is as If-None-Match has it already"}, **gives(kind)}
 
 
 def gives_file(media_type: str, description: str) -> dict[int | str, dict[str, object]]:

@@ -7,7 +7,18 @@ from fastapi import APIRouter, Depends, Header, Query, Request, Response
 
 from morph_core.protocol import AnyCommand
 from morph_core.run_folder import RunFolderError
-from studio.api.messages import Accepted, ResumeRun, RunState, body_of, gives, reply, sender_of, takes, versioned
+from studio.api.messages import (
+    Accepted,
+    ResumeRun,
+    RunState,
+    body_of,
+    gives,
+    gives_versioned,
+    reply,
+    sender_of,
+    takes,
+    versioned,
+)
 from studio.branches import children_of
 from studio.limits import LAST_ITERATION
 from studio.lines import Summary
@@ -48,8 +59,8 @@ def runs_router(runs: Runs) -> APIRouter:
     """Return the routes that list and steer runs."""
     router = APIRouter(prefix="/api/runs", tags=["runs"])
 
-    @router.get("", responses=gives(list[Summary]), summary="All runs, newest first")
-    def summaries(if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    @router.get("", responses=gives_versioned(list[Summary]), summary="All runs, newest first")
+    def summaries(if_none_match: Annotated[list[str] | None, Header()] = None) -> Response:
         return versioned(reply(runs.summaries()), if_none_match)
 
     @router.post(

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.responses import FileResponse
 
-from studio.api.messages import Purged, body_of, gives, gives_file, reply, takes, versioned
+from studio.api.messages import Purged, body_of, gives, gives_file, gives_versioned, reply, takes, versioned
 from studio.lines import Row
 from studio.runs import Runs
 from studio.shelf import trash
@@ -27,10 +27,12 @@ def shelf_router(runs: Runs, thumbnails: Thumbnails) -> APIRouter:
     def page() -> Response:
         return FileResponse(_PAGE)
 
-    @router.get("/api/table", responses=gives(list[Row]), summary="All runs with what they have come to, newest first")
+    @router.get(
+        "/api/table", responses=gives_versioned(list[Row]), summary="All runs with what they have come to, newest first"
+    )
     def table(
         run: Annotated[list[str] | None, Query(description="Only this run; repeated for each")] = None,
-        if_none_match: Annotated[str | None, Header()] = None,
+        if_none_match: Annotated[list[str] | None, Header()] = None,
     ) -> Response:
         return versioned(reply(runs.rows(run)), if_none_match)
 

@@ -1,12 +1,13 @@
-"""The command line `morph-studio`, one module for each of its commands."""
+"""The command line `morph-studio`, one module for each of its commands.
+
+Nothing but Python's own is imported until `main` has begun: Ctrl-C meanwhile would end in a traceback.
+"""
 
 import importlib
 import platform
+import re
 import sys
 from collections.abc import Sequence
-
-from studio.cli.arguments import UsageError
-from studio.cli.output import all_written, bear_any_encoding, bear_any_width, complain, open_streams, say
 
 COMMANDS = {
     "serve": "open the studio in the browser",
@@ -36,8 +37,22 @@ name. A first run: morph-studio serve
 """
 
 
+_ENDLESS = r"\S{1000,}"
+"""Pattern of a word that is too long to be said again; paths may have some hundred characters."""
+
+
 def main() -> None:
     """Run the command of `sys.argv` and exit: 0 done, 1 failed, 2 asked for the impossible, 130 stopped by Ctrl-C."""
+    try:
+        code = _status()
+    except KeyboardInterrupt:
+        code = 130
+    sys.exit(code)
+
+
+def _status() -> str | int | None:
+    from studio.cli.output import all_written, bear_any_encoding, bear_any_width, open_streams
+
     open_streams()
     bear_any_encoding()
     bear_any_width()
@@ -49,15 +64,18 @@ def main() -> None:
         code = 130
     except SystemExit as end:  # of the parser, which has printed its help
         code = end.code
-    sys.exit(code if all_written() else code or 1)
+    return code if all_written() else code or 1
 
 
 def run(words: Sequence[str]) -> int:
     """Run one command and return its exit status."""
+    from studio.cli.arguments import UsageError
+    from studio.cli.output import complain
+
     try:
         return _obey(words)
     except UsageError as error:
-        complain(f"morph-studio: {error}")
+        complain(f"morph-studio: {re.sub(_ENDLESS, _begin, str(error))}")
         return 2
     except BrokenPipeError:
         raise
@@ -66,7 +84,14 @@ def run(words: Sequence[str]) -> int:
         return 1
 
 
+def _begin(word: re.Match[str]) -> str:
+    return f"{word[0][:80]}..."
+
+
 def _obey(words: Sequence[str]) -> int:
+    from studio.cli.arguments import UsageError
+    from studio.cli.output import complain, say
+
     if not words or words[0] in ("-h", "--help"):
         commands = "\n".join(f"  {name:10}{does}" for name, does in COMMANDS.items())
         (say if words else complain)(HELP.format(commands=commands).rstrip())

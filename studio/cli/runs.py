@@ -14,7 +14,7 @@ from studio.branches import Member, place_in_words, trees
 from studio.cli.arguments import RunsArguments, parse
 from studio.cli.output import write_json
 from studio.runs import Runs
-from studio.shelf.marks import Marks
+from studio.shelf.marks import Marks, as_kept
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,9 @@ class ListArguments(RunsArguments):
     def takes(self, marks: Marks) -> bool:
         """Tell whether a run with these marks is to be listed."""
         archived = {"hide": not marks.archived, "show": True, "only": marks.archived}[self.archived]
-        return archived and (marks.starred or not self.starred) and (self.tag is None or self.tag in marks.tags)
+        return (
+            archived and (marks.starred or not self.starred) and (self.tag is None or as_kept(self.tag) in marks.tags)
+        )
 
 
 def main(words: Sequence[str]) -> int:

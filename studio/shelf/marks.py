@@ -4,6 +4,7 @@ It stands in one small file of the run folder, which the studio alone writes, so
 A trainer reads there which designs are starred: it keeps their checkpoints.
 """
 
+import unicodedata
 from pathlib import Path
 
 import msgspec
@@ -49,9 +50,21 @@ _decoder = msgspec.json.Decoder(Marks)
 def read_marks(folder: Path) -> Marks:
     """Return the marks of the run in `folder`; none where there is no such file, or one that can't be used."""
     try:
-        return _checked(_decoder.decode(inside.read(folder, FILE, _LARGEST_FILE)))
-    except (OSError, ValueError, RecursionError):  # a run's list is worth more than what somebody wrote into this file
+        return marks_to_change(folder)
+    except ValueError:  # a run's list is worth more than what somebody wrote into this file
         return Marks()
+
+
+def marks_to_change(folder: Path) -> Marks:
+    """Return the marks of the run in `folder` to change them. Raise ValueError where those that are there can't be
+    used: written over, they would be lost."""
+    try:
+        return _checked(_decoder.decode(inside.read(folder, FILE, _LARGEST_FILE)))
+    except FileNotFoundError:
+        return Marks()
+    except (OSError, ValueError, RecursionError) as error:
+        why = f"what was noted about {folder.name} is kept in {FILE}, which can't be read: {error}"
+        raise ValueError(f"{why}; mend that file, or move it away") from error
 
 
 def write_marks(folder: Path, marks: Marks) -> None:
@@ -73,8 +86,8 @@ def with_star(marks: Marks, iteration: int, starred: bool) -> Marks:
 
 def _checked(marks: Marks) -> Marks:
     """Return marks without needless blanks and doubled tags. Raise ValueError if one is longer than is allowed."""
-    tags = tuple(dict.fromkeys(tag for tag in (_line(tag) for tag in marks.tags) if tag))
-    name, note = _line(marks.name), marks.note.strip()
+    tags = tuple(dict.fromkeys(tag for tag in (as_kept(tag) for tag in marks.tags) if tag))
+    name, note = as_kept(marks.name), marks.note.strip()
     if len(name) > LONGEST_NAME:
         raise ValueError(f"a name has at most {LONGEST_NAME} characters, this one has {len(name)}")
     if len(note) > LONGEST_NOTE:
@@ -92,8 +105,9 @@ def _checked(marks: Marks) -> Marks:
     return msgspec.structs.replace(marks, name=name, note=note, tags=tags, starred_designs=designs)
 
 
-def _line(text: str) -> str:
-    return " ".join(text.split())
+def as_kept(text: str) -> str:
+    """Return a name or a tag as it is kept: without needless blanks, and the same letters by the same characters."""
+    return unicodedata.normalize("NFC", " ".join(text.split()))
 
 
 def _refuse_unseen(text: str) -> None:

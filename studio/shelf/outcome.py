@@ -1,7 +1,6 @@
 """What a run has come to, from the few events that tell it: a log of thousands of iterations is not read in full."""
 
-from collections.abc import Iterable, Sequence
-from itertools import zip_longest
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -10,8 +9,9 @@ from morph_core import inside
 from morph_core.protocol import AnyEvent, Evaluation, Measure, Progress, Rate, StateChanged, Whole, decode_event
 from morph_core.run_folder import EVENTS_BYTES
 
-_EVERY_ITERATION = b'"kind":"progress"'
-"""Words by which a line that tells of an iteration is known; one that is written otherwise is read like any other."""
+_ITERATION, _EVALUATION = b'{"kind":"progress"', b'{"kind":"evaluation"'
+"""How a line begins that tells of an iteration or an evaluation; one that is written otherwise is read like any
+other."""
 
 
 class Score(msgspec.Struct, frozen=True):
@@ -81,22 +81,45 @@ def evaluations_of(events: Iterable[AnyEvent]) -> list[Evaluation]:
 
 
 def landmarks(folder: Path) -> list[AnyEvent]:
-    """Return the events of a run without those iterations that another one follows; whole lines alone count."""
+    """Return the events of a run without iterations that another one or an evaluation follows; whole lines alone count.
+
+    What stays tells what the whole log does: an evaluation says itself how many steps there were before it.
+    """
+    events: list[AnyEvent | None] = []
     try:
-        lines = [
-            line for text in inside.whole_lines(folder, "events.jsonl", 0, EVENTS_BYTES) for line in text.splitlines()
-        ]
+        for text in inside.whole_lines(folder, "events.jsonl", 0, EVENTS_BYTES):
+            for line, before in _telling(text):
+                events.append(_event(line) or (_event(before) if before else None))
     except OSError:
         return []
-    events = []
-    for line, following in zip_longest(lines, lines[1:], fillvalue=b""):
-        if _EVERY_ITERATION in line and _EVERY_ITERATION in following:
+    return [event for event in events if event]
+
+
+def _telling(text: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Yield those of some whole lines that tell something; with an evaluation the iteration before it, which is left
+    out, else nothing.
+
+    The text is cut where iterations begin: most pieces are one line, which is found without looking at its words.
+    """
+    others, *pieces = (b"\n" + text).split(b"\n" + _ITERATION)
+    yield from ((line, b"") for line in others.splitlines() if line)
+    for number, piece in enumerate(pieces, 1):
+        rest, _, others = piece.partition(b"\n")
+        lines = others.splitlines()
+        if not lines and number < len(pieces):  # another iteration follows
             continue
-        try:
-            events.append(decode_event(line))
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            continue
-    return events
+        if lines and lines[0].startswith(_EVALUATION):
+            yield lines.pop(0), _ITERATION + rest
+        else:
+            yield _ITERATION + rest, b""
+        yield from ((line, b"") for line in lines)
+
+
+def _event(line: bytes) -> AnyEvent | None:
+    try:
+        return decode_event(line)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return None
 
 
 def score_of(evaluation: Evaluation) -> Score:

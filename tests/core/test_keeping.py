@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from morph_core.history import History
-from morph_core.keeping import MOST, dropped, pin, tidy
+from morph_core.keeping import MOST, PINS, dropped, pin, tidy
 from morph_core.run_folder import MARKS, RunFolder
 from morph_core.train import Trainer
 from tests.core.conftest import make_run, small_method
@@ -65,10 +65,17 @@ def test_starred_branched_and_best_ones_stay_or_the_nearest_before(tmp_path: Pat
 
 
 @pytest.mark.parametrize("marks", ["", "{", '{"starred_designs": "all"}', '{"starred_designs": [1e400]}'])
-def test_marks_that_can_not_be_read_star_nothing(tmp_path: Path, marks: str) -> None:
+def test_nothing_is_removed_while_it_can_not_be_read_what_is_starred(tmp_path: Path, marks: str) -> None:
     folder = make_run(tmp_path)
     saved(folder, range(2, 2 * MOST + 4, 2))
     (folder.path / MARKS).write_text(marks)
+    tidy(folder, 2, best=None)
+    assert len(folder.checkpoint_iterations()) == MOST + 1
+    (folder.path / MARKS).unlink()
+    (folder.path / PINS).write_text("a file in place of the folder")
+    tidy(folder, 2, best=None)
+    assert len(folder.checkpoint_iterations()) == MOST + 1
+    (folder.path / PINS).unlink()
     tidy(folder, 2, best=None)
     assert len(folder.checkpoint_iterations()) < MOST
 

@@ -7,6 +7,7 @@ import time
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
 import httpx
@@ -448,7 +449,8 @@ def test_a_disk_that_refuses_is_told_and_the_server_lives(served: Served, monkey
 
     before = names(served)
     monkeypatch.setattr("studio.new_run.create_run", full)
-    assert "No space left" in refused(served.client.post("/api/runs", json={"task": "reacher"}), 503)
+    said = refused(served.client.post("/api/runs", json={"task": "reacher"}), 503)
+    assert said == f"the disk refuses: No space left on device: make room where the runs are, or in {gettempdir()}"
     assert names(served) == before
 
 

@@ -219,6 +219,12 @@ def test_a_refusal_exits_with_2_and_no_traceback(tmp_path: Path) -> None:
     assert done.stderr == "morph-studio: train: alpha must be finite, not nan\n"
 
 
+def test_a_refusal_does_not_say_a_word_without_end_again(refused: Callable[[list[str]], str]) -> None:
+    said = refused(["stop", "x" * 100_000])
+    assert "x" * 70 in said
+    assert len(said) < 200
+
+
 def test_a_bad_port_in_the_environment_is_refused(
     refused: Callable[[list[str]], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -293,3 +293,22 @@ def test_a_usage_error_names_what_was_typed_without_obeying_it(capsys: pytest.Ca
     assert run(["train", "reacher", "--\x1b[2J"]) == 2
     assert r"\x1b[2J" in capsys.readouterr().err
     assert issubclass(UsageError, ValueError)
+
+
+def test_ctrl_c_ends_a_command_without_a_traceback_from_its_first_import_on() -> None:
+    script = """
+import builtins, sys
+import studio.cli
+ours = {name.partition('.')[0] for name in sys.modules} & {'tyro', 'msgspec', 'numpy', 'rich', 'torch'}
+original = builtins.__import__
+def pressed(name, *rest):
+    if name == sys.argv[1]:
+        raise KeyboardInterrupt
+    return original(name, *rest)
+builtins.__import__ = pressed
+print(sorted(ours), flush=True)
+studio.cli.main()
+"""
+    for module in ("studio.cli.output", "tyro"):
+        done = subprocess.run([sys.executable, "-c", script, module], capture_output=True, text=True, cwd=ROOT)
+        assert (done.returncode, done.stdout, done.stderr) == (130, "[]\n", "")

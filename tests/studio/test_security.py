@@ -6,16 +6,19 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
+import anyio
 import httpx
 import pytest
 from conftest import TOKEN, Served, serving
 from fastapi import FastAPI
 from starlette.datastructures import Headers
 from starlette.routing import BaseRoute, Mount, WebSocketRoute
+from starlette.types import Message, Receive, Scope, Send
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
+from studio.negotiation import Negotiated, takes_gzip
 from studio.security import OPEN_PATHS, Access, Guesses, kept_key
 from studio.settings import Settings
 
@@ -246,3 +249,58 @@ def test_a_key_that_others_may_read_is_not_used(tmp_path: Path) -> None:
 def test_another_token_makes_another_cookie(tmp_path: Path) -> None:
     one, other = (Access(Settings(port=0, token=token, state=tmp_path)) for token in ("one", "other"))
     assert one.cookie != other.cookie
+
+
+def test_head_is_answered_as_get_without_a_body_and_allow_names_every_method(shared: Served) -> None:
+    known, methods = {"Authorization": f"Bearer {TOKEN}"}, dict[str, set[str]]()
+    for method, path in addresses(shared.app):
+        methods.setdefault(path, set()).add(method)
+    for path, own in methods.items():
+        if own == {"WEBSOCKET"}:
+            continue
+        url, allowed = f"http://127.0.0.1:{shared.port}{path}", own | ({"HEAD"} if "GET" in own else set[str]())
+        if "GET" in own and path != "/api/tasks":  # which takes a second
+            head, whole = PLAIN.head(url, headers=known), PLAIN.get(url, headers=known)
+            assert (head.status_code, head.content) == (whole.status_code, b""), path
+            assert head.headers["content-type"] == whole.headers["content-type"], path
+        refused = PLAIN.request("PROPFIND", url, headers=known)
+        assert refused.status_code == 405
+        assert set(refused.headers["allow"].split(", ")) == allowed - {"WEBSOCKET"}, path
+
+
+def test_the_head_of_an_answer_without_end_has_an_end() -> None:
+    async def endless(_: Scope, __: Receive, send: Send) -> None:
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        while True:
+            await send({"type": "http.response.body", "body": b"more", "more_body": True})
+            await anyio.sleep(0)
+
+    sent: list[Message] = []
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    async def receive() -> Message:
+        return {"type": "http.request"}
+
+    anyio.run(Negotiated(endless), {"type": "http", "method": "HEAD", "headers": []}, receive, send)
+    assert [message.get("body") for message in sent] == [None, b""]
+
+
+@pytest.mark.parametrize(
+    ("accepted", "packed"),
+    [
+        ("gzip", True), ("GZIP", True), ("x-gzip", True), ("*", True), ("br, gzip;q=0.001", True),
+        ("*;q=0, gzip", True),
+        ("gzip;q=0", False), ("gzip; Q=0.000, *", False), ("*;q=0", False), ("identity", False), ("", False),
+        ("gzipped", False), ("not-gzip", False), ("gzip;q=much", False), ("gzip;q=-1", False), (",;=,", False),
+    ],
+)  # fmt: skip
+def test_an_answer_is_packed_only_for_who_takes_that(shared: Served, accepted: str, packed: bool) -> None:
+    assert takes_gzip(accepted) is packed
+    answer = PLAIN.get(
+        f"http://127.0.0.1:{shared.port}/page/studio.css",
+        headers={"Authorization": f"Bearer {TOKEN}", "Accept-Encoding": accepted},
+    )
+    assert ("content-encoding" in answer.headers) is packed
+    assert answer.headers["vary"] == "Accept-Encoding"

@@ -4,6 +4,7 @@ import io
 import subprocess
 import sys
 import time
+import unicodedata
 from pathlib import Path
 
 import msgspec
@@ -17,6 +18,7 @@ from PIL import Image
 from morph_core.history import History
 from morph_core.protocol import Evaluation, Progress, StateChanged
 from morph_core.run_folder import EventLog, RunFolder, RunFolderError, list_runs
+from studio.cli.runs import ListArguments
 from studio.new_run import StartRun
 from studio.runs import Runs
 from studio.shelf import trash
@@ -40,6 +42,7 @@ from studio.shelf.traces import overlay, thinned
 
 NOTED = Marks(starred=True, name="Long fingers", note="try α = .3\nagain", tags=("hand", "to print"), archived=True)
 SEEN = st.text(st.characters(categories=("L", "N", "P", "S"), exclude_characters=","), min_size=1, max_size=30)
+SEEN = SEEN.filter(lambda text: unicodedata.is_normalized("NFC", text))
 
 
 @given(st.booleans(), SEEN, SEEN, st.lists(SEEN, max_size=MOST_TAGS))
@@ -61,6 +64,10 @@ def test_what_a_change_leaves_out_stays_as_it_is() -> None:
 def test_blanks_and_doubled_tags_are_left_out() -> None:
     marks = changed(Marks(), MarksChange(name="  a \n b ", tags=(" x  y", "x y", "", "z")))
     assert (marks.name, marks.tags) == ("a b", ("x y", "z"))
+    composed, in_parts = "caf\u00e9", "cafe\u0301"  # what keyboards send, and what some file systems make of it
+    marks = changed(Marks(), MarksChange(name=in_parts, tags=(in_parts, composed)))
+    assert (marks.name, marks.tags) == (composed, (composed,))
+    assert ListArguments(tag=in_parts).takes(marks)
 
 
 @pytest.mark.parametrize(
@@ -84,9 +91,16 @@ def test_what_is_too_long_or_not_seen_is_refused(change: MarksChange, sentence: 
 @pytest.mark.parametrize(
     "content", [b"", b"{", b"\xff\xfe", b"[]", b'{"starred": 3}', b'{"name": "%s"}' % (b"x" * 81), b'{"tags": ["a,b"]}']
 )
-def test_a_file_of_marks_that_can_not_be_used_is_no_marks(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / FILE).write_bytes(content)
-    assert read_marks(tmp_path) == Marks()
+def test_a_file_of_marks_that_can_not_be_used_is_no_marks_and_is_not_written_over(
+    runs_folder: Path, content: bytes
+) -> None:
+    folder, runs = make_run(runs_folder, "run"), Runs(runs_folder)
+    (folder.path / FILE).write_bytes(content)
+    assert read_marks(folder.path) == Marks()
+    for change in (lambda: runs.mark("run", MarksChange(starred=True)), lambda: runs.star("run", "latest", True)):
+        with pytest.raises(ValueError, match=r"marks\.json, which can't be read.*move it away"):
+            change()
+    assert (folder.path / FILE).read_bytes() == content
 
 
 def test_a_folder_in_place_of_the_marks_breaks_nothing(runs_folder: Path) -> None:
@@ -219,6 +233,35 @@ def test_a_deletion_purges_what_has_lain_in_the_trash_for_too_long(runs_folder: 
     make_run(runs_folder, "run")
     Runs(runs_folder).discard("run")
     assert in_trash(runs_folder) == ["run"]
+
+
+@pytest.mark.parametrize("deleted_by", [3600.0, -56 * 365 * 86400.0, 365 * 86400.0])
+def test_no_step_of_the_clock_purges_a_run_or_keeps_it(
+    runs_folder: Path, monkeypatch: pytest.MonkeyPatch, deleted_by: float
+) -> None:
+    now, uptime = time.time(), [100.0]
+    monkeypatch.setattr(trash, "_uptime", lambda: uptime[0])
+    monkeypatch.setattr(time, "time", lambda: now + deleted_by)
+    runs = Runs(runs_folder)
+    for name in ("run-1", "run-2", "run-3"):
+        make_run(runs_folder, name)
+        assert runs.discard(name).deleted == pytest.approx(max(0, now + deleted_by), abs=1e-3)
+    for step in (0.0, 9 * 86400.0, -9 * 86400.0, 1e9):
+        monkeypatch.setattr(time, "time", lambda step=step: now + step)
+        trash.purge(runs_folder)
+        assert len(in_trash(runs_folder)) == 3
+    runs.restore("run-1")
+    uptime[0] += 7 * 86400 - 1
+    trash.purge(runs_folder)
+    assert sorted(in_trash(runs_folder)) == ["run-2", "run-3"]
+    monkeypatch.setattr(trash, "_start_of_machine", lambda: "0badcafe")  # started anew: only the wall clock is left
+    monkeypatch.setattr(time, "time", lambda: now + deleted_by + 60)
+    trash.purge(runs_folder)
+    assert len(in_trash(runs_folder)) == 2
+    monkeypatch.undo()
+    monkeypatch.setattr(trash, "_uptime", lambda: 100.0 + 7 * 86400)
+    trash.purge(runs_folder)
+    assert in_trash(runs_folder) == []
 
 
 def test_another_run_by_the_name_of_a_deleted_one_is_read_anew(runs_folder: Path) -> None:
