@@ -19,7 +19,7 @@ def processor() -> str:
 def instruction_set() -> str:
     """Return the architecture and the widest vectors of this machine's processor, such as "x86_64 avx2".
 
-    A seed gives the same phi only on the same instruction set.
+    A seed gives the same phi, to the last bit, only on one kind of processor.
     """
     has = {*_told("flags").split(), *_told("Features").split()}
     return " ".join([platform.machine(), *[name for name in _WIDEST_FIRST if name in has][:1]])

@@ -240,7 +240,7 @@ def servo_html(table: ServoTable) -> str:
         f'<tr style="{_RED if row.faults else _AMBER if row.above_rated else ""}"><td>{escape(row.joint)}'
         f"<td class=n>{row.torque_peak:.2f}<td class=n>{row.torque_95:.2f}<td class=n>{sheet.stall_torque:.2f}"
         f"<td class=n>{row.speed_peak:.2f}<td class=n>{row.speed_95:.2f}<td class=n>{sheet.no_load_speed:.2f}"
-        f"<td class=n>{100 * row.load_line_95:.0f}&nbsp;%<td>{_said(row)}"
+        f"<td class=n>{f'{row.load_line_95:.0%}'.replace('%', '&nbsp;%')}<td>{_said(row)}"
         for row in table.joints
     )
     moved = "".join(

@@ -31,7 +31,7 @@ from tests.forked import trainer
 
 RECORDED = Path(__file__).parents[1] / "data" / "format_1"
 RECORDED_WITH = "AVX512"
-"""The vector instructions of the processor that made the runs: with others, torch rounds differently."""
+"""The vector instructions of the processor that made the runs: with others, torch sums in another order."""
 
 OLD_DEFAULTS: dict[str, Any] = {
     "trajectories": 128, "design_interval": 1, "alpha": 1.0, "projection": "none", "exploration": "design",
@@ -173,9 +173,13 @@ def read(runs: Path, method: str, config: dict[str, Any]) -> Method:
 
 
 def as_recorded(*values: str) -> Any:
-    """Return what was recorded: to the last bit, or nearly so where another processor rounds differently."""
+    """Return what was recorded, as nearly as this processor can give it again.
+
+    Two kinds with the same vector instructions differed by up to 4e-9 of a value: the libraries choose by kind, too.
+    """
     expected = [float.fromhex(value) for value in values]
-    return expected if torch.backends.cpu.get_cpu_capability() == RECORDED_WITH else pytest.approx(expected, rel=0.05)
+    has_the_same_vectors = torch.backends.cpu.get_cpu_capability() == RECORDED_WITH
+    return pytest.approx(expected, rel=1e-6, abs=1e-8) if has_the_same_vectors else pytest.approx(expected, rel=0.05)
 
 
 @pytest.mark.parametrize("old", sorted(OLD_DEFAULTS))
@@ -239,7 +243,7 @@ def test_a_recorded_run_evaluates_as_it_did(run: RunFolder, name: str) -> None:
     assert returns == as_recorded(RUNS[name].sampled, RUNS[name].deterministic)
 
 
-def test_a_recorded_run_goes_on_bit_for_bit_with_what_was_in_force(run: RunFolder, name: str) -> None:
+def test_a_recorded_run_goes_on_with_what_was_in_force(run: RunFolder, name: str) -> None:
     before, recorded = History(run), RUNS[name]
     assert trainer(run, "--further", "1").wait() == 0
     history = History(run)
