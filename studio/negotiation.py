@@ -11,9 +11,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 _METHODS = ("GET", "PUT", "POST", "PATCH", "DELETE")
 """Methods that routes of the studio have; HEAD goes with GET."""
 _QUALITY = re.compile(r"(0(\.[0-9]{0,3})?|1(\.0{0,3})?)")
-"""What a weight in an Accept-Encoding header is like (RFC 9110, 12.4.2)."""
+"""Pattern of a weight in an Accept-Encoding header (RFC 9110, 12.4.2)."""
 _TAG = re.compile(r'(?:W/)?("[^"]*")|(\*)')
-"""An entry of an If-None-Match header; a tag may hold commas."""
+"""Pattern of an entry of an If-None-Match header; a tag may hold commas."""
 
 
 class Negotiated:

@@ -1064,7 +1064,8 @@ MUTANTS: tuple[Mutant, ...] = (
         ("key=lambda e: (e.sampled_success, e.sampled_return)", "key=lambda e: e.sampled_success"),
         ("if e.iteration <= start.iteration]", "]"),
         ("ends = [*(i - 1 for i", "ends = [*(i for i"),
-        ("_EVERY_ITERATION in line and _EVERY_ITERATION in following", "_EVERY_ITERATION in line"),
+        ("if not lines and number < len(pieces)", "if not lines"),
+        ('lines.pop(0), _ITERATION + rest', 'lines.pop(0), b""'),
     ),
     *_of(
         "studio/shelf/thumbnails.py", "studio/test_shelf.py",
@@ -1082,9 +1083,10 @@ MUTANTS: tuple[Mutant, ...] = (
     *_of(
         "studio/shelf/trash.py", "studio/test_shelf.py",
         ("entry[1].deleted, reverse=True", "entry[1].deleted"),
-        (" and moment >= trashed.deleted + AT_LEAST", ""),
+        (" and age >= AT_LEAST", ""),
+        ('if match["start"] and match["start"] == _start_of_machine()', "if False"),
         ("    with hold(folder):\n        durable", "    if True:\n        durable"),
-        ("if m and not path.is_symlink()]", "if m]"),
+        ("if match and not path.is_symlink()\n", "if match\n"),
     ),
     *_of(
         "studio/recordings.py",

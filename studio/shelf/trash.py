@@ -24,8 +24,8 @@ MOST = 200
 AT_LEAST = 3600.0
 """Seconds that a deleted run lies in the trash, however many there are."""
 _ENTRY = re.compile(r"(?P<deleted>\d{13})(~(?P<start>[0-9a-f]{8})~(?P<uptime>\d{1,15}))?\.(?P<id>.+)")
-"""What a deleted run is called: when it was deleted in ms and, since then, by which start of the machine, and the ms of
-its uptime. No name of a run has a tilde."""
+"""Pattern of the name of a deleted run: when it was deleted in ms and, since then, by which start of the machine, and
+the ms of its uptime. No name of a run has a tilde."""
 
 
 class Trashed(msgspec.Struct, frozen=True):
@@ -121,7 +121,7 @@ def _start_of_machine() -> str:
     """Return a word of eight hexadecimal digits that changes whenever the machine is started; empty if none is told."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")[:8]
-    except (OSError, UnicodeDecodeError):
+    except (OSError, ValueError):
         return ""
 
 

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import make_hand_run, make_run, stand_in
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -335,8 +335,9 @@ KINDS = st.sampled_from(["progress", "evaluation", "starting", "stopped"])
 
 @given(
     st.lists(st.tuples(KINDS, st.integers(0, 9), st.floats(0, 1)), max_size=30),
-    st.sampled_from([b"", b'{"ki', b"{}\n"]),
+    st.sampled_from([b"", b'{"ki', b"{}\n", b'{"kind":"evaluation","time":"?"}\n']),
 )
+@example([("progress", 3, 0.0)], b'{"kind":"evaluation","time":"?"}\n')
 def test_landmarks_tell_what_the_whole_log_tells(
     tmp_path_factory: pytest.TempPathFactory, told: list[tuple[str, int, float]], tail: bytes
 ) -> None:
@@ -396,6 +397,7 @@ def test_runs_that_never_ran_at_the_same_steps_have_no_mean(runs_folder: Path) -
     assert overlay([("a", record, halves[0]), ("b", record, halves[1])]).means == []
 
 
+@example([0.5] * 30 + [0.9, 0.1] + [0.5] * 30, 20)
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=300), st.integers(20, 100))
 def test_thinned_traces_keep_ends_highs_and_lows(success: list[float], limit: int) -> None:
     whole = [evaluation(i, share, returned=-share * (i % 7)) for i, share in enumerate(success)]
