@@ -99,6 +99,7 @@ def test_the_docs_show_the_example_as_it_is() -> None:
     assert len([line for line in program.splitlines() if line]) <= 10
 
 
+@pytest.mark.slow
 def test_the_example_prints_a_line_per_iteration() -> None:
     example = forked.python(EXAMPLE.read_text())
     deadline = time.monotonic() + 200

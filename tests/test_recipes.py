@@ -91,6 +91,7 @@ def test_what_a_recipe_shows_runs(shown: list[str], run: int, rules: str) -> Non
     assert did == "2 True"
 
 
+@pytest.mark.slow
 def test_in_this_repository_a_new_file_is_all_it_takes(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "morph_core", tmp_path / "morph_core", ignore=shutil.ignore_patterns("__pycache__"))
     for folder, name, _ in ADDED:

@@ -39,6 +39,7 @@ def test_a_design_without_a_policy_is_refused(run: RunFolder) -> None:
         evaluate_run(run, "99", 4)
 
 
+@pytest.mark.slow
 def test_the_process_prints_one_document(run: RunFolder) -> None:
     words = ("--run", str(run.path), "--episodes", "2")
     done = Forked("morph_core.evaluate", *words)

@@ -342,6 +342,7 @@ def test_a_failure_is_said_with_its_reason(tmp_path: Path, monkeypatch: pytest.M
     assert history.iteration == 0
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_pauses_the_run_and_loses_nothing(tmp_path: Path) -> None:
     folder = make_run(tmp_path, iterations=10**6)
     process = trainer(folder)

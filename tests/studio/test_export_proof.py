@@ -602,6 +602,7 @@ def test_a_file_that_is_gone_and_one_that_nobody_named_are_told() -> None:
         assert name in check.detail
 
 
+@pytest.mark.slow
 def test_verify_prints_a_table_and_fails_for_a_part_broken_on_purpose(bundle: Bundle, tmp_path: Path) -> None:
     good, bad = tmp_path / "good.zip", tmp_path / "bad.zip"
     good.write_bytes(bundle.content)

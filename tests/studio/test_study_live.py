@@ -188,6 +188,7 @@ def test_the_comparison_needs_the_token(served: Served) -> None:
         assert httpx.get(f"http://127.0.0.1:{served.port}{path}").status_code == 401
 
 
+@pytest.mark.slow
 def test_a_study_is_compared_by_a_process_and_served_with_the_style_it_has(settings: Settings) -> None:
     write_study(settings.runs, [Made("direct", "direct"), Made("no_hw_opt", "no_hw_opt", top=0)], [0], iterations=4)
     before = set(settings.runs.rglob("*"))

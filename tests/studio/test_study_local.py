@@ -246,6 +246,7 @@ def test_a_run_that_a_user_has_stopped_stays_stopped(directory: Path) -> None:
     local.leave(directory, at_once=True)
 
 
+@pytest.mark.slow
 def test_leaving_stops_the_trainers_and_starts_no_other(directory: Path) -> None:
     study = make_study(directory, 3)
     local, names = Local(2, spawner("slow")), [planned.run for planned in study.runs]

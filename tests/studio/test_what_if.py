@@ -241,6 +241,7 @@ def test_a_process_that_dies_is_an_error_of_one_question_alone(
     assert what_ifs.evaluate(history, Wish(episodes=1), Cancellation()).episodes == 1
 
 
+@pytest.mark.slow
 def test_a_process_that_ended_for_want_of_questions_is_started_again(
     monkeypatch: pytest.MonkeyPatch, history: History
 ) -> None:
