@@ -161,6 +161,13 @@ const WORDS = {
   },
 };
 
+let held = null; // the run whose row has the focus, or has it again as soon as the rows are drawn
+
+/** Return the row that keys are meant for while the focus is on a row, or on none as the rows are drawn anew. */
+export function heldRow(table) {
+  return table.getRows("display").find((one) => one.getData().id === held);
+}
+
 export function makeTable(element, pages, wishes) {
   const all = boxForAll();
   const table = new Tabulator(element, {
@@ -182,15 +189,17 @@ export function makeTable(element, pages, wishes) {
     element.querySelector(".tabulator-tableholder").removeAttribute("tabindex");
     for (const column of element.querySelectorAll(".tabulator-col.tabulator-sortable")) column.tabIndex = 0;
   });
-  let held = null; // the run whose row has the focus
   element.addEventListener("focusout", (event) => {
     if (event.relatedTarget) held = null;
+  });
+  document.addEventListener("pointerdown", (event) => {
+    if (!element.contains(event.target)) held = null;
   });
   // Rows that are drawn anew, as when the bar above them comes or goes, lose the focus: it goes back to where it was.
   const keepFocus = () => {
     offerFirstRow(element);
     if (held === null || document.activeElement !== document.body) return;
-    const row = table.getRows("display").find((one) => one.getData().id === held)?.getElement();
+    const row = heldRow(table)?.getElement();
     (row?.isConnected ? row : element.querySelector('.tabulator-row[tabindex="0"]'))?.focus({ preventScroll: true });
   };
   for (const event of ["renderComplete", "dataFiltered", "pageLoaded"]) table.on(event, () => requestAnimationFrame(keepFocus));
@@ -214,5 +223,6 @@ export function moveFocus(table, row, by) {
   const shown = table.getRows("display");
   const next = shown[Math.min(shown.length - 1, Math.max(0, shown.indexOf(row) + by))];
   if (!next) return;
+  held = next.getData().id; // at once: the next key may come before the row is in sight
   table.scrollToRow(next, "nearest", false).catch(() => null).then(() => next.getElement().focus({ preventScroll: true }));
 }

@@ -1,7 +1,7 @@
 // The runs page: every run of the folder, found again by search and filters, kept in order, and compared.
 
 import { Designs, Traces } from "./runs-charts.js";
-import { flat, made, makeTable, moveFocus, number, percent } from "./runs-table.js";
+import { flat, heldRow, made, makeTable, moveFocus, number, percent } from "./runs-table.js";
 
 const INTERVAL = 2000;
 const HIDDEN_INTERVAL = 15000;
@@ -493,8 +493,7 @@ document.addEventListener("keydown", (event) => {
     return;
   }
   if (target.matches("button, a, input") && ["Enter", " "].includes(key)) return;
-  const element = target.closest(".tabulator-row");
-  const row = element ? table.getRows("display").find((one) => one.getElement() === element) : undefined;
+  const row = target === document.body || target.closest(".tabulator-row") ? heldRow(table) : undefined;
   if (!row && ON_A_ROW.includes(key)) return;
   event.preventDefault();
   keys[key](row);

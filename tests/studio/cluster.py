@@ -131,7 +131,7 @@ class Cluster:
         """Run a command of Slurm and return what it prints."""
         done = subprocess.run(
             words, env={**os.environ, "SLURM_CONF": str(self.configuration), **environment}, capture_output=True,
-            text=True, check=True, timeout=60,
+            text=True, check=True, timeout=300,
         )  # fmt: skip
         return done.stdout
 

@@ -64,8 +64,8 @@ def test_the_reserve_goes_with_the_server(tmp_path: Path) -> None:
 def test_after_a_tenth_of_a_real_run_it_is_known_how_long_the_rest_takes(
     tmp_path: Path, task: str, iterations: int
 ) -> None:
-    """The tolerance leaves room for a machine whose other work comes and goes, and for a first tenth without an
-    evaluation, of which a hand's takes as long as two iterations."""
+    """Within a factor of three: other work of the machine comes and goes, and a first tenth may lack an evaluation, of
+    which a hand's takes as long as two iterations. How good the estimate is was measured on recorded runs."""
     folder, told = prepare_run(tmp_path, StartRun(task=task, iterations=iterations)), None
     trainer = spawn_trainer(folder)
     while trainer.poll() is None:
@@ -77,5 +77,5 @@ def test_after_a_tenth_of_a_real_run_it_is_known_how_long_the_rest_takes(
     assert told is not None
     began, seconds, iteration = told
     assert iteration <= iterations / 4
-    print(f"{task}: {seconds:.1f} s were to go, {time.monotonic() - began:.1f} s it took")  # noqa: T201
-    assert seconds == pytest.approx(time.monotonic() - began, rel=0.5)
+    took = time.monotonic() - began
+    assert took / 3 < seconds < 3 * took
