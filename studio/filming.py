@@ -110,7 +110,7 @@ class FilmState(msgspec.Struct, frozen=True, kw_only=True):
     seconds_left: float | None = None
     """Time until it is ready, as fast as the frames up to now; None until some are drawn."""
     resting: bool = False
-    """Whether it is made at a fifth of its pace, as other work keeps the processors busy."""
+    """Whether it is made slowly, as other work keeps the processors busy."""
     size: int = 0
     """Bytes of the file, once it is ready."""
     reason: str = ""

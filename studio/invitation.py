@@ -19,7 +19,7 @@ ALLOWED = (
     ("GET", re.compile(f"{AUDIENCE}/viewer/{KEY.pattern}/")),
     ("GET", re.compile(f"{AUDIENCE}/runs/{RUN_ID.pattern}/evolution\\.html")),
     ("WEBSOCKET", re.compile(f"{AUDIENCE}/viewer/{KEY.pattern}")),
-    ("GET", re.compile(r"/page/(audience\.css|audience\.js|icon\.svg|theme\.js|vendor/charts\.js)")),
+    ("GET", re.compile(r"/page/(audience\.css|audience\.js|icon\.svg|theme\.js|words\.js|vendor/charts\.js)")),
 )
 """All that a spectator may ask for, by method and path: whatever is not among it is refused, new routes too."""
 

@@ -3,7 +3,6 @@
 import { init } from "./vendor/charts.js";
 
 const find = (id) => document.getElementById(id);
-const whole = new Intl.NumberFormat("en", { maximumFractionDigits: 0, useGrouping: false, roundingMode: "halfEven" }); // as the studio rounds
 const AGAIN = 5000; // milliseconds until it is tried again where there was no place, or no server
 
 const key = crypto.randomUUID ? crypto.randomUUID() : Array.from(crypto.getRandomValues(new Uint8Array(16)), (b) => b.toString(16).padStart(2, "0")).join("");

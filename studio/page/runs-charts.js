@@ -1,7 +1,7 @@
 // The comparison of the selected runs: their traces over environment steps, and their designs in parallel coordinates.
 
 import { init } from "./vendor/charts.js";
-import { number, percent, steps } from "./runs-table.js";
+import { number, steps } from "./runs-table.js";
 
 const COLOURS = ["#0f7dc2", "#e07b00", "#17a673", "#c2459b", "#8a6be0", "#c9a400", "#5aa9e6", "#d0342c", "#7a828e"];
 const RETURNS = ["#3b4cc0", "#2a9d8f", "#d9a92f", "#d1495b"];

@@ -2,20 +2,10 @@
 
 import { Tabulator } from "./vendor/tables.js";
 
-export function duration(seconds) {
-  if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
-  const minutes = Math.round(seconds / 60);
-  if (seconds < 5400) return `${minutes} min`;
-  if (seconds < 172800) return `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
-  return `${Math.round(seconds / 86400)} days`;
-}
-
 export function steps(count) {
   if (count < 1e4) return String(count);
   return count < 1e6 ? `${Math.round(count / 1e3)} k` : `${(count / 1e6).toFixed(2)} M`;
 }
-
-export const percent = (share) => `${Math.round(100 * share)} %`;
 
 export function number(value) {
   const text = value.toFixed(Math.abs(value) < 10 ? 2 : Math.abs(value) < 1000 ? 1 : 0);

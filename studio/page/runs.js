@@ -1,7 +1,7 @@
 // The runs page: every run of the folder, found again by search and filters, kept in order, and compared.
 
 import { Designs, Traces } from "./runs-charts.js";
-import { flat, heldRow, made, makeTable, moveFocus, number, percent } from "./runs-table.js";
+import { flat, heldRow, made, makeTable, moveFocus, number } from "./runs-table.js";
 
 const INTERVAL = 2000;
 const HIDDEN_INTERVAL = 15000;

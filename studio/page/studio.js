@@ -205,16 +205,6 @@ find("keys").addEventListener("close", focusViewer);
 
 // --- the bar ---------------------------------------------------------------------------------------------------------
 
-// As the viewer's panels and the reports round, which are made in Python: 12.5 is 12.
-const whole = new Intl.NumberFormat("en", { maximumFractionDigits: 0, useGrouping: false, roundingMode: "halfEven" });
-const percent = (share) => `${whole.format(100 * share)} %`;
-
-function duration(seconds) {
-  if (seconds < 90) return `${Math.max(1, Math.round(seconds))} s`;
-  const minutes = Math.round(seconds / 60);
-  return seconds < 5400 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
-}
-
 function describe(run) {
   const parts = [];
   if (run.iterations) parts.push(`iteration ${run.iteration} of ${run.iterations}`);

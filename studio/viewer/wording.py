@@ -90,13 +90,15 @@ def rows(cells: list[tuple[str, str]]) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Return a time in words, such as 42 s, 3 min or 1 h 20 min, as the bar and the table of runs have it."""
+    """Return a time in words, such as 42 s, 3 min, 1 h 20 min or 3 days, as `page/words.js` has it for the pages."""
     if seconds is None or not math.isfinite(seconds) or seconds < 0:
         return "unknown"
     if seconds < 90:
         return f"{max(1, math.floor(seconds + 0.5))} s"
     minutes = math.floor(seconds / 60 + 0.5)
-    return f"{minutes} min" if seconds < 5400 else f"{minutes // 60} h {minutes % 60} min"
+    if seconds < 5400:
+        return f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60} min" if seconds < 172800 else f"{math.floor(seconds / 86400 + 0.5)} days"
 
 
 def count(number: int) -> str:

@@ -52,8 +52,9 @@ def open_runs(page: Page, server: Server) -> list[str]:
 def test_runs_are_found_noted_archived_deleted_and_brought_back(server: Server, runs: Path, page: Page) -> None:
     complaints = open_runs(page, server)
     expect(rows_of(page)).to_have_count(6)
-    said = "import('./page/runs-table.js').then(({ duration }) => [45, 5399, 7190].map(duration))"
-    assert page.evaluate(said) == list(map(wording.duration, (45, 5399, 7190)))
+    for kind, numbers in (("duration", (45, 5399, 7190, 3e5)), ("percent", (0.125, 0.375, 1.0))):
+        said = page.evaluate(f"(all) => all.map({kind})", numbers)
+        assert said == list(map(getattr(wording, kind), numbers)), "as the viewer's panels have it"
     expect(page.locator("#count")).to_have_text("6 runs")
     first = row_of(page, "reacher-direct-s0")
     expect(first).to_contain_text("finished")

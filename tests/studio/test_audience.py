@@ -139,7 +139,8 @@ OPEN_TO_SPECTATORS = {
     ("GET", "/healthz"), ("GET", "/audience"), ("GET", "/audience/events"), ("GET", f"/audience/viewer/{KEY}/"),
     ("PUT", f"/audience/seats/{KEY}"), ("WEBSOCKET", f"/audience/viewer/{KEY}"),
     ("GET", f"/audience/runs/{KEY}/evolution.html"),
-    *(("GET", f"/page/{name}") for name in ("audience.css", "audience.js", "icon.svg", "theme.js", "vendor/charts.js")),
+    *(("GET", f"/page/{name}")
+      for name in ("audience.css", "audience.js", "icon.svg", "theme.js", "words.js", "vendor/charts.js")),
 }  # fmt: skip
 
 
